@@ -45,8 +45,24 @@ def sampled_errors(problem, known, count, rng):
         drift = np.sqrt(1.0 - kept**2) * rng.standard_normal((count, size))
         new = kept * (off - (off @ rows[k].T + noise) @ gain.T) + drift
         inside = moments[(moments > k + 1e-9) & (moments < k + 1 + 1e-9)]
-        yield from (off + (moment - k) * (new - off) for moment in inside)
+        bridge = wandered(inside - k, kept, (count, size), rng)
+        yield from (
+            off + (moment - k) * (new - off) + b for moment, b in zip(inside, bridge, strict=True)
+        )
         off = new
+
+
+def wandered(share, kept, shape, rng):
+    """A stationary process from 0 on, less what leads it to where it ends at a share of 1."""
+    if kept == 1.0:
+        return np.zeros((len(share), *shape))
+    rate, path, before = -np.log(kept), [np.zeros(shape)], 0.0
+    for part in [*share, 1.0]:
+        fade = np.exp(-rate * (part - before))
+        path.append(fade * path[-1] + np.sqrt(1.0 - fade**2) * rng.standard_normal(shape))
+        before = part
+    led = np.sinh(rate * np.asarray(share)) / np.sinh(rate)
+    return np.array(path[1:-1]) - led[:, None, None] * path[-1]
 
 
 def sampled_hits(problem, evaluation, count, rng):

@@ -17,6 +17,8 @@ import numpy as np
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 
+_FADED = 100.0  # time scales after which nothing is left
+
 
 @dataclass(frozen=True)
 class ErrorBelief:
@@ -73,6 +75,19 @@ class PredictedCovariance:
         """Covariance (K−1, q, q) of the error of what is known with that a correction later."""
         return self.fade * self.after[:-1]
 
+    def bridge(self, early: Array, late: Array) -> Array:
+        """Covariances of the bridge of an error of unit variance between two corrections.
+
+        Args:
+            early: Parts of the way from one to the other.
+            late: Parts that are no less.
+        """
+        whole = min(-np.log(max(self.fade, 1e-100)), _FADED)
+        if not whole > 0.0:
+            return np.zeros_like(early)
+        out = 2.0 * np.sinh(whole * early) * np.sinh(whole * (1.0 - late)) / np.sinh(whole)
+        return np.asarray(out)
+
     def back(self, by_before: Array, by_lagged: Array) -> Array:
         """Slope (K, r, q) by the rows, of a value with slopes by `before` and `lagged`.
 
@@ -115,8 +130,9 @@ def predict_covariance(cov: Array, rows: Array, fade: float) -> PredictedCovaria
 class KnownError:
     """Covariances of what is not known of a model error, at M moments.
 
-    From one correction of the commands to the next the actuators go evenly, so what is left of the
-    error does too: (1 − w) e_k + w e_k+1.
+    From one correction of the commands to the next the actuators go evenly, and what is left of the
+    error too, (1 − w) e_k + w e_k+1, but for the bridge between both: a stationary error wanders
+    there by itself. That it counts in full errs a little on the careful side.
 
     Attributes:
         corrections: The covariances at the corrections.
@@ -130,12 +146,14 @@ class KnownError:
     def before(self) -> Array:
         """Covariances (M, q, q) at the moments."""
         at, share = self.shares
-        return self._mixed(at, (1.0 - share) ** 2, share**2, 2.0 * share * (1.0 - share))
+        weights = (1.0 - share) ** 2, share**2, 2.0 * share * (1.0 - share)
+        return self._mixed(at, *weights, self.corrections.bridge(share, share))
 
     @cached_property
     def lagged(self) -> Array:
         """Covariances (M−1, q, q) with the error a moment later."""
-        return self._mixed(self.shares[0][:-1], *self._lagged_weights)
+        at, early, late = self._pairs
+        return self._mixed(at, *self._lagged_weights, self.corrections.bridge(early, late))
 
     def back(self, by_before: Array, by_lagged: Array) -> Array:
         """Slope (K, r, q) by the rows, of a value with slopes by `before` and `lagged`."""
@@ -159,14 +177,20 @@ class KnownError:
     @property
     def _lagged_weights(self) -> tuple[Array, Array, Array]:
         """Weights (M−1,) of both corrections' covariances and of that between them."""
-        at, share = self.shares
-        early, late = share[:-1], self.position[1:] - at[:-1]
+        _, early, late = self._pairs
         both = (1.0 - early) * late + early * (1.0 - late)
         return (1.0 - early) * (1.0 - late), early * late, both
 
-    def _mixed(self, at: Index, early: Array, late: Array, both: Array) -> Array:
-        """Weighted sums of the covariances about each correction."""
+    @property
+    def _pairs(self) -> tuple[Index, Array, Array]:
+        """The correction before each moment and the next (M−1,), and how far from it both are."""
+        at, share = self.shares
+        return at[:-1], share[:-1], self.position[1:] - at[:-1]
+
+    def _mixed(self, at: Index, early: Array, late: Array, both: Array, bridge: Array) -> Array:
+        """Weighted sums of the covariances about each correction, and what the bridge adds."""
         known = self.corrections
         out: Array = early[:, None, None] * known.before[at]
         out += late[:, None, None] * known.before[at + 1]
-        return out + both[:, None, None] * known.lagged[at]
+        out += both[:, None, None] * known.lagged[at]
+        return out + bridge[:, None, None] * np.eye(out.shape[-1])

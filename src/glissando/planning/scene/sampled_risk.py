@@ -76,8 +76,15 @@ def _sampled_errors(known: KnownError, count: int, rng: np.random.Generator) -> 
         gain = at.fade * at.free[k]
         rest = at.before[k + 1] - gain @ at.before[k] @ gain.T
         later = error @ gain.T + rng.standard_normal(error.shape) @ _root(rest).T
+        wandered, before = np.zeros_like(error), 0.0
         for part in share[correction == k]:
-            yield (1.0 - part) * error + part * later
+            gone, own = at.bridge(np.array([before, part]), np.array([part, part]))
+            of_before = float(at.bridge(np.array(before), np.array(before)))
+            keep = gone / of_before if of_before else 0.0
+            fresh = np.sqrt(max(own - keep * gone, 0.0))
+            wandered = keep * wandered + fresh * rng.standard_normal(error.shape)
+            before = float(part)
+            yield (1.0 - part) * error + part * later + wandered
         error = later
 
 
