@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from glissando.errors import FalseConfidenceWarning
 from glissando.planning.scene.motion_problem import MotionProblem
 from glissando.planning.scene.plan_motion import motion_problem
-from motion_scenes import ROBOT, any_problem, around, small_scene
+from glissando.planning.scene.tendon_body import tendon_body
+from motion_scenes import LOOSE, ROBOT, any_problem, around, small_scene
 
 WORTH = {
     "cost": (lambda p, e: e.cost, lambda p, e: p.gradients(e)[0]),
@@ -31,10 +33,10 @@ def slope_along(value, at, direction, step=2e-5):
 
 
 @pytest.mark.parametrize("name", WORTH)
-@pytest.mark.parametrize("every", [1, 3])
-def test_slopes_through_mechanics_and_belief_are_those_of_differences(name, every):
+@pytest.mark.parametrize(("every", "robot"), [(1, ROBOT), (3, ROBOT), (3, LOOSE)])
+def test_slopes_through_mechanics_and_belief_are_those_of_differences(name, every, robot):
     rng = np.random.default_rng(every)
-    problem, control = any_problem(rng, every, obstacles=around(rng, 6))
+    problem, control = any_problem(rng, every, robot, obstacles=around(rng, 6))
     worth, gradient = WORTH[name]
     evaluation = problem.evaluate(control)
     if name == "risk":
@@ -79,3 +81,26 @@ def test_all_values_keep_the_limits_where_the_free_numbers_do(rng):
 def test_readings_are_counted_on_no_sooner_than_commands_are_corrected(correction):
     problem = motion_problem(small_scene([], horizon=8.0, correction=correction), ROBOT)
     assert correction - 1e-9 <= problem.space.correction < 1.35 * correction
+
+
+@pytest.mark.parametrize("column", range(3))
+def test_places_move_as_shapes_on_another_base_or_with_other_displacements_do(rng, column):
+    body, pulled = tendon_body(LOOSE, 0.025), rng.uniform(-1e-3, 3e-3, (1, 6))
+    error = np.zeros((1, body.errors))
+    error[0, (0, -6, -1)[column]] = 1e-3  # of a tendon with play, and of the base's pose
+    there, back = (body.shapes(pulled, sign * error).place for sign in (1.0, -1.0))
+    moved = (body.shapes(pulled).moves @ error[0])[0]
+    np.testing.assert_allclose(moved, 0.5 * (there - back)[0], atol=5e-3 * np.abs(moved).max())
+
+
+def test_play_counts_as_half_of_it_either_way_and_a_known_base_as_nothing():
+    loose, tight = tendon_body(LOOSE, 0.025), tendon_body(ROBOT, 0.025)
+    np.testing.assert_allclose(loose.std[:3], [np.hypot(2e-4, 2e-4), 2e-4, 2e-4])
+    assert loose.errors == tight.errors + 6
+
+
+def test_weight_that_a_plan_leaves_out_is_named():
+    mechanics = replace(ROBOT.prior.mechanics, gravity=np.array([9.81, 0.0, 0.0]), tip_mass=0.002)
+    heavy = replace(ROBOT, prior=replace(ROBOT.prior, mechanics=mechanics))
+    with pytest.warns(FalseConfidenceWarning, match=r"moves it by .* mm when no tendon pulls"):
+        motion_problem(small_scene([]), heavy)

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 from draws import generators, law
 from glissando.planning.scene.risk import both_below, bound_hits
 from glissando.planning.scene.sampled_risk import sample_risk
-from motion_scenes import any_problem
+from motion_scenes import LOOSE, ROBOT, any_problem
 from oracles.model_errors import dense_covariance, sampled_errors, sampled_hits
 
 
@@ -81,8 +81,8 @@ def test_the_bound_is_above_the_risk_and_at_most_three_times_of_it(risk, rng):
 @pytest.mark.slow
 def test_shapes_solved_anew_hit_as_often_as_the_samples_say(rng):
     pairs = []
-    for _ in range(2):
-        problem, control = any_problem(rng, 2, horizon=2.0)
+    for robot in (ROBOT, LOOSE):
+        problem, control = any_problem(rng, 2, robot, horizon=2.0)
         thick = as_risky(problem, control, 0.08)
         evaluation = thick.evaluate(control)
         share = sample_risk(thick, evaluation, 10_000, seed=1)[0]

@@ -1,5 +1,7 @@
 """A small tendon robot with a sliding coil, and scenes for it."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from glissando.planning.scene.error_belief import ErrorBelief
@@ -12,6 +14,10 @@ from glissando.planning.sliding_sensor import SlidingSensor
 from tendon_robot import LENGTH, tendon_robot
 
 ROBOT = tendon_robot(std=2e-4, psd_moment=2e-8)
+LOOSE = replace(
+    tendon_robot(std=2e-4, psd_moment=2e-8, play=[4e-4, 0.0, 0.0, 2e-4, 0.0, 0.0]),
+    prior=replace(ROBOT.prior, var_base=np.repeat([1e-6, 4e-4], 3)),
+)
 COIL = SlidingSensor(np.array([1e-3] * 3 + [0.01] * 2) ** 2, rate=20.0)
 TENDON = Actuator(-2e-3, 4e-3, 4e-3, 4e-3, 0.0)
 SLIDE = Actuator(0.05, LENGTH, 0.05, 0.1, 0.15)
@@ -41,7 +47,7 @@ def small_scene(obstacles, target=(0.03, 0.01, 0.19), **fields):
     )
 
 
-def any_problem(rng, every=1, **fields):
+def any_problem(rng, every=1, robot=ROBOT, **fields):
     """A problem with all terms, at a random belief, and a motion (C, S+2) within its limits.
 
     Commands are corrected twice a second, and motions judged at `every` times as many moments.
@@ -53,7 +59,7 @@ def any_problem(rng, every=1, **fields):
         SpaceZone(arclength=(0.1, 0.15), weight=2.0),
     ]
     scene = small_scene(weights=weights, zones=zones, **fields)
-    body = tendon_body(ROBOT, 0.025)
+    body = tendon_body(robot, 0.025)
     root = 0.3 * rng.standard_normal((body.errors, body.errors))
     belief = ErrorBelief(
         0.5 * rng.standard_normal(body.errors), root @ root.T + 0.1 * np.eye(len(root))

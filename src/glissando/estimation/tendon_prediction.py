@@ -72,12 +72,17 @@ def predict(
     velocity, cov[..., _VELOCITY, _VELOCITY] = _velocity(rod, time, displacement, by_pull)
     strain = shape.strain[:, np.maximum(node - 1, 0)]
     prediction = StateEstimate(shape.pose()[:, node], strain, velocity, cov)
-    _warn_of_weight(robot, float(prediction.std_position.max()))
+    warn_of_weight(robot, float(prediction.std_position.max()))
     return prediction
 
 
-def _warn_of_weight(robot: Robot, std: float) -> None:
-    """Say so where the weight in [mechanics] moves the robot by a share of what is claimed."""
+def warn_of_weight(robot: Robot, std: float) -> None:
+    """Warn where the weight in [mechanics] moves the robot by a share of what is claimed.
+
+    Args:
+        robot: Robot with [mechanics] and [tendons].
+        std: What positions are claimed to, m.
+    """
     prior, grid = mechanical(robot), Grid(robot.arclength_nodes, np.zeros(1))
     light = replace(prior, mechanics=replace(prior.mechanics, gravity=np.zeros(3)))
     hanging, straight = (each.rest_state(grid).pose[0, :, :3, 3] for each in (prior, light))

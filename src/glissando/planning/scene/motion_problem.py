@@ -95,7 +95,7 @@ class MotionProblem:
         """
         more = max(1, int(np.ceil(self.body.step.max() / spacing - _ROUNDING)))
         finer = replace(self, body=replace(self.body, steps=more * self.body.steps))
-        shapes = BodyShapes(finer.body, at.shapes.balance)
+        shapes = BodyShapes(finer.body, at.shapes.balance, at.shapes.base)
         return finer, shapes, finer._clearances(shapes, at.known)[0]
 
     def log_risk(self, at: Evaluation) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
+from glissando.estimation.tendon_prediction import warn_of_weight
 from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
 from glissando.planning.scene.close_moments import judged_closely
@@ -116,11 +117,16 @@ def motion_problem(
 
     Raises:
         GlissandoError: The scene is none, or none of this robot.
+
+    Warns:
+        FalseConfidenceWarning: The robot's weight, which is left out, moves it by more than is
+            claimed.
     """
     require_scene(scene, robot)
     spacing = max(_SPACING * scene.robot_radius, robot.length / _PLACES)
     body = tendon_body(robot, spacing)
-    belief = ErrorBelief.unknown(body.errors)  # nothing but what [tendons] states
+    belief = ErrorBelief.unknown(body.errors)  # nothing but what [tendons] and [base] state
+    warn_of_weight(robot, body.straight_std)
     step = step or max(1.0, scene.horizon / _PIECES)
     space = motion_space(scene, step)
     return MotionProblem(scene, body, belief, space, senses)

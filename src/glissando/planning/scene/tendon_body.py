@@ -1,11 +1,11 @@
 """A tendon robot's shapes over time, how model errors move them, and one backward pass.
 
 A model error ξ has a number for each tendon, by whose standard deviation displacements differ from
-the commands, and two for each piece, bending moments that the model lacks: what [tendons] of a
-robot file states, whitened. Spatial twists by ξ add up along the body, V(s) = Σ h Ad(T) ∂ε/∂ξ, and
-a place moves by V_linear + V_angular × p. The backward pass takes slopes by places, twists and
-their covariance back to the tendons' commands, through the second derivative of the equilibrium's
-energy. Source: (M5) to (M7) of docs/tendons.md.
+the commands, two for each piece, bending moments that the model lacks, and six for the base where
+it may stand elsewhere: what [tendons] and [base] of a robot file state, whitened. Spatial twists by
+ξ add up along the body, V(s) = Σ h Ad(T) ∂ε/∂ξ, and a place moves by V_linear + V_angular × p. The
+backward pass takes slopes by places, twists and their covariance back to the tendons' commands,
+through the second derivative of the equilibrium's energy. Source: (M5) to (M7) of docs/tendons.md.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from glissando.model.robot import Robot
 from glissando.model.tendons.statics import Equilibrium, equilibrium, levers, reaches
 from glissando.model.tendons.tendon_rod import TendonRod, tendon_rod
 
+_KNOWN = 0.1  # of what the tip's standard deviation is without, that a known base may make it
+
 BySeen = tuple[Index, Index, Array]
 """Shapes and places by number (…,), and slopes (G, …, 6, q) of G values by their twists."""
 
@@ -31,22 +33,27 @@ BySeen = tuple[Index, Index, Array]
 class TendonBody:
     """A rod of P pieces with T tendons, and N places along it, a half-step between two.
 
-    Friction and play of the tendons are left to the model error.
+    Friction of the tendons is left to the model error, and half of their play, by which each is off
+    either way.
 
     Attributes:
         rod: The rod.
         steps: How many steps each piece (P,) is cut into, N = 1 + Σ steps.
         time_scale: How long a model error lasts, s.
+        std: Standard deviations (T,) of what displacements differ from the commands by, m.
+        base: Root (6, b) of the covariance of the base's pose; of no columns where it is known.
     """
 
     rod: TendonRod
     steps: Index
     time_scale: float
+    std: Array
+    base: Array
 
     @property
     def errors(self) -> int:
-        """Number q = T + 2 P of a model error's components."""
-        return len(self.rod.tendons) + 2 * len(self.rod.length)
+        """Number q = T + 2 P + b of a model error's components."""
+        return len(self.rod.tendons) + 2 * len(self.rod.length) + self.base.shape[1]
 
     @cached_property
     def piece(self) -> Index:
@@ -62,6 +69,11 @@ class TendonBody:
     def arclength(self) -> Array:
         """The places (N,), m."""
         return np.concatenate([[0.0], np.cumsum(self.step)])
+
+    @property
+    def straight_std(self) -> float:
+        """Root of the total variance of the tip's position while no tendon pulls, m."""
+        return float(np.linalg.norm(self.shapes(np.zeros((1, len(self.rod.tendons)))).moves[0, -1]))
 
     @property
     def moment_std(self) -> Array:
@@ -81,16 +93,17 @@ class TendonBody:
         Raises:
             NoShapeError: There is no static shape.
         """
-        rod, count = self.rod, len(self.rod.tendons)
+        rod, base = self.rod, np.broadcast_to(self.rod.base, (len(displacement), 4, 4))
         if error is not None:
-            displacement = displacement + rod.tendons.std * error[..., :count]
+            parts = np.cumsum([len(rod.tendons), self.moment_std.size])
+            by_pull, by_moment, by_base = np.split(error, parts, axis=-1)
+            displacement = displacement + self.std * by_pull
             rest = np.broadcast_to(rod.rest, (len(displacement), *rod.rest.shape)).copy()
-            moment = np.broadcast_to(
-                self.moment_std * error[..., count:], (len(rest), rest[0, :, :2].size)
-            )
+            moment = np.broadcast_to(self.moment_std * by_moment, (len(rest), rest[0, :, :2].size))
             rest[..., 3:5] += moment.reshape(rest[..., 3:5].shape) / rod.stiffness[:, 3:5]
             rod, start = replace(rod, rest=rest), rest if start is None else start
-        return BodyShapes(self, equilibrium(rod, displacement=displacement, start=start))
+            base = base @ se3.exp(by_base @ self.base.T)
+        return BodyShapes(self, equilibrium(rod, displacement=displacement, start=start), base)
 
 
 def tendon_body(robot: Robot, spacing: float) -> TendonBody:
@@ -108,9 +121,14 @@ def tendon_body(robot: Robot, spacing: float) -> TendonBody:
     tendons = robot.tendons
     rod = tendon_rod(robot, np.zeros(0) if tendons is not None and tendons.straight else None)
     count = len(rod.tendons)
+    std = np.hypot(rod.tendons.std, 0.5 * rod.tendons.play)
     rod = replace(rod, tendons=replace(rod.tendons, friction=np.zeros(count), play=np.zeros(count)))
     steps = np.maximum(2, np.ceil(rod.length / spacing)).astype(np.intp)
-    return TendonBody(rod, steps, float(getattr(robot.prior, "time_scale", np.inf)))
+    time_scale, base = float(getattr(robot.prior, "time_scale", np.inf)), np.sqrt(rod.var_base)
+    body = TendonBody(rod, steps, time_scale, std, np.zeros((6, 0)))
+    moved = float(np.linalg.norm(base * np.repeat([1.0, robot.length], 3)))
+    known = moved < _KNOWN * body.straight_std
+    return body if known else replace(body, base=np.diag(base))
 
 
 @dataclass(frozen=True)
@@ -120,10 +138,12 @@ class BodyShapes:
     Attributes:
         body: The body.
         balance: The equilibria.
+        base: Poses (K, 4, 4) of the base.
     """
 
     body: TendonBody
     balance: Equilibrium
+    base: Array
 
     @cached_property
     def _fine(self) -> Array:
@@ -132,7 +152,7 @@ class BodyShapes:
         half = (0.5 * body.rod.length / body.steps)[:, None] * self.balance.strain
         step = se3.exp(half)
         out = np.empty((len(half), piece.size + 1, 4, 4))
-        out[:, 0] = body.rod.base
+        out[:, 0] = self.base
         for n, p in enumerate(piece):
             np.matmul(out[:, n], step[:, p], out=out[:, n + 1])
         return out
@@ -165,14 +185,19 @@ class BodyShapes:
     def strain_by_error(self) -> Array:
         """∂strain/∂ξ (K, P, 6, q)."""
         balance, body = self.balance, self.body
-        by_pull = body.rod.tendons.std * self.strain_by_displacement
-        return np.concatenate([by_pull, body.moment_std * balance.strain_by_moment()], axis=-1)
+        by_pull = body.std * self.strain_by_displacement
+        by_moment = body.moment_std * balance.strain_by_moment()
+        by_base = np.zeros((*by_pull.shape[:-1], body.base.shape[1]))
+        return np.concatenate([by_pull, by_moment, by_base], axis=-1)
 
     @cached_property
     def twist(self) -> Array:
         """Spatial twists (K, N, 6, q) of the places by ξ; the midpoint rule over each step."""
         middle, by_error = self._fine[:, 1::2], self.strain_by_error[:, self.body.piece]
-        return _summed_up(self.body.step[:, None, None] * (se3.adjoint(middle) @ by_error))
+        out = _summed_up(self.body.step[:, None, None] * (se3.adjoint(middle) @ by_error))
+        own = out.shape[-1] - self.body.base.shape[1]
+        out[..., own:] = (se3.adjoint(self.base) @ self.body.base)[:, None]
+        return out
 
     @cached_property
     def moves(self) -> Array:
@@ -276,12 +301,12 @@ class BodyShapes:
         k, slope = balance.slope, _stiffening(rod, k=balance.slope)
         curved = np.sum(weight * squared, axis=-1)
         by_stretch = k * curved + slope * np.sum(along * along_back, axis=-1)
-        std, picked = rod.tendons.std, np.arange(count)
+        std, picked = self.body.std, np.arange(count)
         by_stretch += std * slope * along_back[..., picked, picked]
         # ∂/∂t of |t|: through reach in `along` and through what is across t
         lever = flat[0] @ along_back[..., None, :, None] + flat[1] @ along[..., None, :, None]
         own_pull = np.moveaxis(flat[1][..., picked, :, :, picked], 0, -3)
-        lever = lever[..., 0] + std * own_pull
+        lever = lever[..., 0] + std[:, None, None] * own_pull
         third = flat[0] @ unit_parts[1].mT + flat[1] @ unit_parts[0].mT
         third = third[..., 0] + unit * squared[..., None]
         by_tangent = weight[..., None] * (
