@@ -75,3 +75,21 @@ def test_going_on_in_silence_makes_belief_no_wider_than_was_predicted(name):
         assert smoother.at(length, 1.0 + ahead).std_position == pytest.approx(
             state.std_position[-1], rel=1e-9
         )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["tdcr466", "tdcr466-segments"])
+@pytest.mark.parametrize("begin", [0.0, 1.7e9])  # as time.time() counts, to 2e-7 s
+@pytest.mark.parametrize(("rate", "every"), [(400.0, 1), (500.0, 1), (1000.0, 5), (2000.0, 1)])
+def test_a_loop_faster_than_nodes_may_follow_each_other_is_answered(name, begin, rate, every):
+    robot = load_robot(name)
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=4)
+    tip, rng = se3.exp(robot.length * BEND), np.random.default_rng(1)
+    for k in range(120):
+        time = begin + k / rate
+        if k % every == 0:
+            noise = se3.exp(np.append(STD * rng.standard_normal(5), 0.0))
+            at = {"time": [time], "arclength": [robot.length], "values": [tip @ noise]}
+            smoother.add(CoilReadings(**at, cov=STD**2, name="coil"))
+        state = smoother.advance(time)
+    assert np.linalg.norm(state.position[-1] - tip[:3, 3]) < 5.0 * state.std_position[-1]

@@ -30,6 +30,7 @@ from glissando.model.sensors.readings import Readings
 
 _MERGED = 0.01  # of the longest interval: a node as close to the newest one would be singular
 _BACK = 2.0  # s before the oldest node: a clock that was set, not a reading that came late
+_ROUNDED = 5e-4  # of the least step, by which times round: less than the prior allows it
 _CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
 
 
@@ -52,7 +53,7 @@ class WindowSteps:
         self.buffer = ReadingBuffer(float(window.arclength[-1]), self.gate, window.takes_as_row)
         self.update = GatedUpdate(window, self.buffer, self.gate)
         self.updates = self.restarts = 0
-        self._least = window.prior.least_step(window.arclength)
+        self._least = (1.0 + _ROUNDED) * window.prior.least_step(window.arclength)
         self._asked = -np.inf
         self._started = False
         self._oldest, self._silence = -np.inf, Silence()

@@ -26,7 +26,7 @@ from glissando.model.priors.intervals import as_fields, at_nodes, kron_pair
 from glissando.model.priors.rest_shape import RestShape
 from glissando.model.state import DOF, State
 
-_SAME = 1e-6  # of a step, as times of a loop are rounded
+_SAME = 1e-3  # of a step, as times of a loop are rounded, also those since 1970
 _DENSEST = 200.0  # time nodes a time scale: beyond, rounding shows in the covariance
 
 
