@@ -48,6 +48,27 @@ def test_errors_are_as_large_as_stated_and_misstated_noise_fails_that(stated, se
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_a_coil_noisier_than_stated_is_noticed_and_errors_stay_as_large_as_stated(seed):
+    data, known = rigs.drawn(seed)
+    rng, spread = np.random.default_rng(seed), np.repeat([1e-3, 1e-2, 0.0], [3, 2, 1])
+    off = se3.exp(spread * rng.standard_normal((len(data.coil), 6)))
+    made = calibrate(replace(data, coil=data.coil @ off), rigs.robot(rigs.NODES), readings=60)
+    off = made.rig.minus(rigs.at_epoch(known, made.rig.epoch))[SHOWN]
+    nees = off @ np.linalg.solve(made.cov[np.ix_(SHOWN, SHOWN)], off)
+    assert nees < chi2.ppf(1.0 - TAIL, len(SHOWN))
+    assert 0.5 < made.fits[0].whitened < 1.5
+
+
+def test_readings_that_nothing_explains_are_said_to_be_off():
+    made, _, data = rigs.calibrated()
+    wave = np.sin(2.0 * data.coil_time)[:, None] * np.array([0.0, 0.0, 0.0, 0.06, 0.0, 0.0])
+    found = calibrate(replace(data, coil=data.coil @ se3.exp(wave)), rigs.robot(rigs.NODES))
+    assert any("do not trust its deviations" in said for said in found.warnings)
+    assert not any("do not trust its deviations" in said for said in made.warnings)
+
+
+@pytest.mark.slow
 def test_the_coil_is_where_the_calibration_says_at_any_time_of_the_session():
     for seed in range(2):
         made, known, data = rigs.calibrated(seed)

@@ -17,6 +17,7 @@ from glissando.calibration.rig.rig import ANYWHERE, Rig, RigData
 from glissando.calibration.rig.rough import FEWEST, agreeing, distances, rough_start
 from glissando.calibration.rig.shape import estimate_shape, span
 from glissando.calibration.rig.slide_timing import LATEST, against_slide, slide_lag
+from glissando.calibration.rig.white_noise import with_measured_noise
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
 from glissando.model.quantiles import chi_square_exceedance
@@ -31,6 +32,7 @@ _OUTLIER = float(
 _WORST, _MOST_OUT = 0.1, 0.2  # of the largest square go at once, and of all readings at most
 _EDGE = 0.02  # s: readings so near an end of the recording may be beyond it
 _NO_TRAVEL = 1e-3  # m
+_MISFIT = 1.5  # of what is stated, above which residuals make deviations untrue
 _DOUBT = 3.0  # log odds below which a stated direction counts for more
 
 
@@ -75,6 +77,7 @@ def _calibrated(data: RigData, robot: Robot, readings: int) -> Calibration:
     best, expected, odds = _choose_direction(model, expected, std)
     model = _covered(model, best)
     sound = replace(model, data=model.data.at(agreeing(model, best)))
+    sound = with_measured_noise(sound, best)
     bunched = _bunched(sound, readings)
     fit = _without_outliers(refine(bunched, best, expected, std), expected, std)
     left_out = model.data.coil_time.size - sound.data.coil_time.size
@@ -174,6 +177,12 @@ def _doubts(data: RigData, fit: RigFit, odds: float, left_out: int) -> tuple[str
     out = []
     if left_out:
         out.append(f"{left_out} coil readings that contradict all others were left out.")
+    misfit = float(np.sqrt(np.mean(fit.innovations() ** 2)))
+    if misfit > _MISFIT:
+        out.append(
+            f"Readings of the coil are off by {misfit:.1f} times what their noise and the field's "
+            f"distortion explain, and so may be what was found: do not trust its deviations."
+        )
     if not fit.converged:
         out.append("The refinement has not converged: do not trust it; slide and bend more.")
     if odds < _DOUBT:
