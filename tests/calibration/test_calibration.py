@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 import rigs_drawn as rigs
 from glissando.calibration.rig.calibrate import calibrate
-from glissando.calibration.rig.rig import PARAMETERS
+from glissando.calibration.rig.rig import PARAMETERS, RigData, side_of_backlash
 from glissando.errors import RecordingError
 from glissando.geometry import se3
 
@@ -160,6 +160,32 @@ def test_without_motion_capture_the_slide_is_found_against_the_tracker(direction
     assert made.rig.slide_clock[0] == pytest.approx(delay, abs=0.01)
     assert made.rig.lead == pytest.approx(known.lead, abs=4.0 * made.std[LEAD])
     assert "There is no motion capture" in made.warnings[0]
+
+
+def against_tracker(seed, play, direction):
+    """Errors of lead and slide delay, and their covariance, of a straight robot's coil."""
+    rng, stamps = np.random.default_rng([seed, 3]), np.arange(0.0, 30.0, 0.01)
+    delay, lead = rng.uniform(-0.2, 0.2), 1.0 + 2e-3 * rng.standard_normal()
+    at = stamps % 6.0
+    travel = np.interp(at, [0.0, 2.5, 3.0, 5.5, 6.0], [0.0, 0.06, 0.06, 0.0, 0.0])
+    followed = travel - 0.5 * play * side_of_backlash(travel, max(play, 1e-9))
+    time = np.arange(0.2, 29.8, 0.025)
+    pose = np.tile(np.eye(4), (time.size, 1, 1))
+    pose[:, 2, 3] = 0.64 + direction * lead * np.interp(time, stamps, followed)
+    pose = pose @ se3.exp(np.repeat([1e-4, 1e-3], 3) * rng.standard_normal((time.size, 6)))
+    data = RigData("coil", time, pose, stamps + delay, travel, {}, 0.64, 0.005)
+    made = calibrate(data, ROBOT)
+    assert made.rig.direction == direction
+    own = np.ix_([LEAD, SLIDE_DELAY], [LEAD, SLIDE_DELAY])
+    return np.array([made.rig.lead - lead, made.rig.slide_clock[0] - delay]), made.cov[own]
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_play_that_is_expected_is_no_late_clock_without_motion_capture(direction):
+    drawn = [against_tracker(k, 1e-4 * abs(np.random.default_rng(k).standard_normal()), direction)
+             for k in range(12)]  # fmt: skip
+    nees = sum(off @ np.linalg.solve(cov, off) for off, cov in drawn)
+    assert nees < chi2.ppf(1.0 - TAIL, 2 * len(drawn))
 
 
 def test_too_few_coil_readings_are_refused_with_a_sentence():

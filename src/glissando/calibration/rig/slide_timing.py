@@ -11,7 +11,7 @@ from glissando.geometry.se3 import Array
 
 LATEST = 2.0
 """Largest delay between two clocks that is looked for, s."""
-_LEAD, _DELAY = PARAMETERS.index("lead"), PARAMETERS.index("slide delay")
+_FOUND = [PARAMETERS.index(name) for name in ("lead", "slide delay", "backlash")]
 _LAP = 0.1  # s over which speeds are taken
 _STEP = 0.025  # s between delays that are tried
 _NUDGE = 0.02  # s over which the carriage's speed is differenced
@@ -30,7 +30,7 @@ def slide_lag(data: RigData) -> float:
     stamps, coil_speed = _coil_speeds(data)
     best = (0.0, 0.0)
     for lag in np.arange(-LATEST, LATEST + 1e-9, _STEP):
-        speed = _carriage_speeds(data, stamps + lag)
+        speed = _speeds(data, data.travel, stamps + lag)
         norm = float(np.linalg.norm(speed) * np.linalg.norm(coil_speed))
         if norm > 0.0 and np.ptp(data.travel) > 1e-4:
             best = max(best, (abs(float(speed @ coil_speed)) / norm, float(lag)))
@@ -38,9 +38,10 @@ def slide_lag(data: RigData) -> float:
 
 
 def against_slide(data: RigData, expected: Rig, std: Array) -> tuple[Rig, Array]:
-    """Direction, lead and slide delay relative to the tracker, by regression of speeds.
+    """Direction, lead, backlash and slide delay relative to the tracker, by regression of speeds.
 
-    The robot's own motion counts as noise.
+    The robot's own motion counts as noise. While the carriage moves at one speed, play looks like a
+    late clock: of the backlash what was expected counts as well.
 
     Args:
         data: The session.
@@ -50,27 +51,33 @@ def against_slide(data: RigData, expected: Rig, std: Array) -> tuple[Rig, Array]
     Returns:
         The rig and its covariance (17, 17), which stays as it was for all other parameters.
     """
-    cov = np.diag(std**2)
+    cov, play = np.diag(std**2), expected.backlash
     if not data.slides or np.ptp(data.travel) < 1e-3:
         return expected, cov
-    lag, gain = slide_lag(data), 1.0
+    lag, gain, known = slide_lag(data), 0.0, np.diag([0.0, 0.0, std[_FOUND[2]] ** -2.0])
     stamps, coil_speed = _coil_speeds(data)
     for _ in range(_ROUNDS):
+        followed = data.travel - 0.5 * play * data.side
         behind, speed, ahead = (
-            _carriage_speeds(data, stamps + lag + h) for h in (-_NUDGE, 0.0, _NUDGE)
+            _speeds(data, followed, stamps + lag + h) for h in (-_NUDGE, 0.0, _NUDGE)
         )
         if not speed @ speed > 0.0:  # the slide rested while the coil was seen
             return expected, cov
-        gain = float(speed @ coil_speed / (speed @ speed))
-        jacobian = np.stack([speed, gain * (ahead - behind) / (2.0 * _NUDGE)], axis=1)
+        gain = gain or float(speed @ coil_speed / (speed @ speed))
+        turned = -0.5 * _speeds(data, data.side, stamps + lag)
+        by_lag = (ahead - behind) / (2.0 * _NUDGE)
+        jacobian = np.stack([speed, gain * by_lag, gain * turned], axis=1)
         residual = coil_speed - gain * speed
-        step = np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
-        gain, lag = gain + float(step[0]), lag + float(step[1])
-    var = _CORRELATED * float(residual @ residual) / residual.size
-    cov[np.ix_([_LEAD, _DELAY], [_LEAD, _DELAY])] = var * np.linalg.inv(jacobian.T @ jacobian)
-    clock = np.array([lag, 0.0])
+        var = _CORRELATED * float(residual @ residual) / residual.size
+        inverse = np.linalg.inv(jacobian.T @ jacobian / var + known)
+        pull = jacobian.T @ residual / var - known @ [0.0, 0.0, play - expected.backlash]
+        step = inverse @ pull
+        gain, lag, play = gain + float(step[0]), lag + float(step[1]), play + float(step[2])
     direction = 1 if gain > 0.0 else -1
-    return replace(expected, direction=direction, lead=abs(gain), slide_clock=clock), cov
+    turn = np.diag([direction, 1.0, 1.0])
+    cov[np.ix_(_FOUND, _FOUND)] = turn @ inverse @ turn
+    found = {"direction": direction, "lead": abs(gain), "backlash": play}
+    return replace(expected, **found, slide_clock=np.array([lag, 0.0])), cov
 
 
 def _coil_speeds(data: RigData) -> tuple[Array, Array]:
@@ -86,7 +93,7 @@ def _coil_speeds(data: RigData) -> tuple[Array, Array]:
     return 0.5 * (time[first] + time[last]), np.einsum("mi,mi->m", way, axis) / norm
 
 
-def _carriage_speeds(data: RigData, stamps: Array) -> Array:
-    """Speed (P,) of the carriage at stamps of the slide, m/s, over the same time as the coil's."""
-    ends = [np.interp(stamps + h, data.slide_time, data.travel) for h in (-0.5 * _LAP, 0.5 * _LAP)]
+def _speeds(data: RigData, travel: Array, stamps: Array) -> Array:
+    """Change of a travel (L,) a second (P,) at stamps of the slide, over the coil's time."""
+    ends = [np.interp(stamps + h, data.slide_time, travel) for h in (-0.5 * _LAP, 0.5 * _LAP)]
     return (ends[1] - ends[0]) / _LAP
