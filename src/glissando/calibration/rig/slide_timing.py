@@ -76,8 +76,9 @@ def against_slide(data: RigData, expected: Rig, std: Array) -> tuple[Rig, Array]
     direction = 1 if gain > 0.0 else -1
     turn = np.diag([direction, 1.0, 1.0])
     cov[np.ix_(_FOUND, _FOUND)] = turn @ inverse @ turn
-    found = {"direction": direction, "lead": abs(gain), "backlash": play}
-    return replace(expected, **found, slide_clock=np.array([lag, 0.0])), cov
+    clock = np.array([lag, 0.0])
+    found = replace(expected, direction=direction, lead=abs(gain), backlash=play, slide_clock=clock)
+    return found, cov
 
 
 def _coil_speeds(data: RigData) -> tuple[Array, Array]:
