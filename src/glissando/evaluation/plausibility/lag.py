@@ -17,9 +17,11 @@ _RATE = 25.0  # Hz at which motion is compared
 _SMOOTH = 5  # samples
 _FARTHEST = 0.3  # of the common time: the longest lag that is looked for
 _ALIKE = 0.75  # correlation of two streams' speeds that makes a lag of them
+_AT_ONCE = 0.9  # correlation without a lag of what moves at once
 _BETTER = 0.12  # by which it exceeds that without a lag
 _LEAST = 0.15  # s
 _AGREE = 3  # other streams, where there are so many, with which a stream has a known lag
+_ALIKE_LAGS, _MOST = 0.15, 0.6  # s by which lags of one clock differ; of a stream's lags that do
 _AGAIN = 0.3  # of a motion's correlation with itself, by which it rises again where it repeats
 _TRAVEL = 5e-3  # m: beyond, a sensor moves by itself
 
@@ -41,27 +43,37 @@ def check_lag(streams: Streams) -> Iterator[Finding]:
         return
     count = len(signals)
     lags, known = np.zeros((count, count)), np.zeros((count, count), dtype=bool)
+    at_once = np.zeros((count, count), dtype=bool)
     for i, j in combinations(range(count), 2):
-        lag = _lag(signals[i][1], signals[j][1])
+        lag, at_once[i, j] = _lag(signals[i][1], signals[j][1])
         if lag is not None:
             lags[i, j], lags[j, i] = lag, -lag
             known[i, j] = known[j, i] = True
     late = _delays(lags, known)
     is_truth = np.array([any(r is t for t in streams.truth) for r, _ in signals])
-    if is_truth.any() and not is_truth.all():
-        late -= np.median(late[~is_truth])
-    else:
-        late -= np.median(late)
-    yield from _reported(signals, late, known, is_truth)
+    late -= np.median(late if is_truth.all() else late[~is_truth])
+    if np.any(at_once & (np.abs(np.subtract.outer(late, late)) > _ALIKE_LAGS)):
+        return  # streams that surely move at once would have different clocks
+    agreed = known.sum(axis=1) >= np.minimum(_AGREE, count - 1)
+    agreed &= _share_alike(lags, late, known) >= _MOST
+    yield from _reported(signals, late, agreed, is_truth)
+
+
+def _share_alike(lags: Array, late: Array, known: NDArray[np.bool_]) -> Array:
+    """Share (J,) of a stream's known lags that are what clocks this `late` (J,) would make.
+
+    Motions of a few seconds look alike at some lag by chance, each pair at another.
+    """
+    alike = known & (np.abs(lags - np.subtract.outer(late, late)) < _ALIKE_LAGS)
+    return np.asarray(alike.sum(axis=1) / np.maximum(known.sum(axis=1), 1))
 
 
 def _reported(
     signals: list[tuple[Readings, tuple[Array, Array]]],
     late: Array,
-    known: NDArray[np.bool_],
+    agreed: NDArray[np.bool_],
     is_truth: NDArray[np.bool_],
 ) -> Iterator[Finding]:
-    agreed = known.sum(axis=1) >= np.minimum(_AGREE, len(signals) - 1)
     off = (np.abs(late) > _LEAST) & agreed
     if off[is_truth].sum() > 1 and off[is_truth].mean() > 0.6:
         value = float(np.median(late[is_truth]))
@@ -80,8 +92,8 @@ def _late(subject: str, value: float, names: tuple[str, ...]) -> Finding:
     mend = f"subtract {by} from" if value > 0.0 else f"add {by} to"
     return Finding(
         "lag",
-        f"{subject} {by} {later} than the other streams: their clocks probably differ; {mend} its "
-        f"times, or give it an uncertain time_offset.",
+        f"{subject} {by} {later} than the other streams: unless its part of the robot moves by "
+        f"itself, their clocks differ; {mend} its times, or give it an uncertain time_offset.",
         abs(value) > 1.0, names, later,
     )  # fmt: skip
 
@@ -106,26 +118,29 @@ def _speed(r: Readings) -> tuple[Array, Array] | None:
     return (0.5 * (time[1:] + time[:-1]))[ok], moved[ok] / steps[ok]
 
 
-def _lag(one: tuple[Array, Array], other: tuple[Array, Array]) -> float | None:
-    """By how many seconds the first comes later than the second, 0 if at once, None if unknown."""
+def _lag(one: tuple[Array, Array], other: tuple[Array, Array]) -> tuple[float | None, bool]:
+    """By how many seconds the first comes later than the second, 0 if at once, None if unknown.
+
+    Also whether they surely move at once.
+    """
     first, last = max(one[0][0], other[0][0]), min(one[0][-1], other[0][-1])
     if last - first < 3.0:
-        return None
+        return None, False
     grid = np.arange(first, last, 1.0 / _RATE)
     if grid.size > 200_000:
-        return None
+        return None, False
     box = np.ones(_SMOOTH) / _SMOOTH
     a, b = (np.convolve(np.sqrt(np.interp(grid, t, v)), box, "same") for t, v in (one, other))
     reach = int(_FARTHEST * grid.size)
     scores = _correlations(a, b, reach)
     best, here = int(np.argmax(scores)), scores[reach]
     if scores[best] < _ALIKE:
-        return None
-    if scores[best] - here < max(_BETTER, 0.3 * (1.0 - here)) or abs(here) > 0.9:
-        return 0.0
+        return None, False
+    if scores[best] - here < max(_BETTER, 0.3 * (1.0 - here)) or abs(here) > _AT_ONCE:
+        return 0.0, bool(here > _AT_ONCE)
     if max(_repetition(signal, abs(best - reach)) for signal in (a, b)) > _AGAIN:
-        return None  # it may as well be one motion and the next
-    return (best - reach) / _RATE
+        return None, False  # it may as well be one motion and the next
+    return (best - reach) / _RATE, False
 
 
 def _repetition(signal: Array, lag: int) -> float:
