@@ -117,6 +117,14 @@ def test_a_tube_that_cannot_be_stored_is_refused_before_an_estimate(
     assert said in capsys.readouterr().err
 
 
+def test_a_tube_replaces_no_other_robots_file(held, tmp_path, capsys):
+    other = tmp_path / "other.toml"
+    other.write_text('name = "other"\n')
+    assert run("check", held, "--store-tube", other, "--block", "0.1") == 2
+    assert "neither the --robot file nor one with a [tube]" in capsys.readouterr().err
+    assert other.read_text() == 'name = "other"\n'
+
+
 def test_a_file_of_ones_own_is_replaced(held, tmp_path):
     out = tmp_path / "coil.tum"
     out.write_text("old")

@@ -135,6 +135,7 @@ def test_sensors_are_placed_within_a_budget(tmp_path, capsys):
         (("--sensor", "coil=1:0.7"), "0.7 is not likely; give one number above 0"),
         (("--sensor", "gyro=1:90"), "for each of 3 rows, up to 5 rad/s"),
         (("--sensor", "fbg=1:-1e-5"), "-1e-05 is not likely"),
+        (("--sensor", "coil=1:1e-3,0.6"), "0.6 rad is not likely: probably degrees"),
         (("--sensor", "coil=1:nan,0.01"), "nan, nan, nan, 0.01, 0.01 is not likely"),
         (("--sensor", "coil=1:1e-3,1e-3,1e-3"), "each of 5 rows, up to 0.05 m."),
     ],

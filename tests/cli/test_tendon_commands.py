@@ -122,6 +122,24 @@ def test_what_predict_cannot_use_is_one_sentence(tmp_path, start, capsys):
     assert "leave a robot of 0.2 m" in error
 
 
+def test_commands_that_are_probably_in_another_unit_are_named(tmp_path, start, capsys):
+    commands = tmp_path / "commands.csv"
+    for number, (scale, step, said) in enumerate([
+        (1e-3, 1.0, ""),
+        (1e-6, 1.0, "No displacement exceeds 0.002 mm, less than what they are off by"),
+        (1e-3, 100.0, "Times of the commands are 100 s apart: if they are milliseconds"),
+    ]):  # fmt: skip
+        rows = [[k * step, *(scale * k * np.array([1, 0, -1, 0, 0, 0]))] for k in range(3)]
+        text = "\n".join(",".join(f"{x:g}" for x in row) for row in rows)
+        commands.write_text(f"time,{','.join(NAMES)}\n{text}\n")
+        out = tmp_path / str(number)
+        words = ["--robot", start, "--tendons", str(commands), "--out", str(out)]
+        assert main(["predict", *words]) == 0
+        error = capsys.readouterr().err
+        assert said in error
+        assert bool(said) == ("warning" in error)
+
+
 def test_servos_need_a_robot_with_as_many_tendons(tmp_path, capsys):
     rng = np.random.default_rng(1)
     servo_file(tmp_path / "servo.csv", moves(rng, 5), rng)

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 import separable_sessions as drawn
 from draws import generators, law
 from glissando import CoilReadings, PoseReadings, PositionReadings, load_robot
-from glissando.errors import OutsideGridError
+from glissando.errors import FalseConfidenceWarning, OutsideGridError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.shape_spread import shape_covariances
 from glissando.geometry import se3
@@ -328,3 +328,18 @@ def test_errors_before_during_and_after_a_pause_are_as_large_as_claimed(pause):
     low, high = chi2.ppf([0.5e-3, 1 - 0.5e-3], 90) / 90
     print(f"pause {pause:g} s: {nees.round(2).tolist()} in [{low:.2f}, {high:.2f}]")
     assert np.all((low < nees) & (nees < high))
+
+
+def test_times_in_milliseconds_are_said_to_be_once():
+    robot, rng = load_robot("tdcr466"), np.random.default_rng(0)
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    pose = tip(robot.length, 1.0, 0.0)
+
+    def live():
+        for k in range(25):
+            smoother.add(coil(rng, 33.3 * k, pose, robot.length))
+            smoother.advance(33.3 * k)
+
+    with pytest.warns(FalseConfidenceWarning, match="in seconds, not milliseconds") as said:
+        live()
+    assert len(said) == 1

@@ -102,6 +102,7 @@ def _check(options: argparse.Namespace) -> int:
             raise GlissandoError(f"--store-tube {options.store_tube} is a folder; name a file.")
         require_spared("--store-tube", options.store_tube, options.target, options.recording)
         require_writable(options.store_tube.parent, "--store-tube")
+        _require_tubes_own(options.store_tube, options.robot)
     _refuse_silent(options)
     if options.draws is not None:
         return check_draws(options)
@@ -128,6 +129,17 @@ def _check(options: argparse.Namespace) -> int:
         if tube:
             print(_TUBE.format(**tube))
     return 0 if shown.posterior.solve.converged else 1
+
+
+def _require_tubes_own(file: Path, robot: str | None) -> None:
+    """Make sure that a file to store a tube in is new, the robot's own, or one that has a tube."""
+    if not file.exists() or (robot and Path(robot).exists() and file.samefile(robot)):
+        return
+    if "[tube]" not in file.read_text(encoding="utf-8", errors="replace"):
+        raise GlissandoError(
+            f"--store-tube {file} is there already, and is neither the --robot file nor one with a "
+            f"[tube]; give a new file."
+        )
 
 
 def _refuse_silent(options: argparse.Namespace) -> None:

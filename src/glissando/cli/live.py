@@ -259,7 +259,7 @@ class _Status:
         latency = 1e3 * np.array([u.latency for u in self._recent])
         nis = "–" if smoother.nis is None else f"{smoother.nis:.2f}"
         parts = [
-            f"{last.time:.1f} s: tip ± {1e3 * last.std_tip:.2g} mm",
+            f"{last.time:.1f} s: tip ± {float(f'{1e3 * last.std_tip:.2g}'):g} mm",
             f"{rate:.1f} Hz",
             f"latency {np.median(latency):.1f} ms, p99 {np.percentile(latency, 99):.1f} ms",
             f"innovations {nis}",

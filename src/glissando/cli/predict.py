@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, names
 from glissando.errors import GlissandoError
 from glissando.estimation.tendon_prediction import predict, predict_tip
+from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_table
 from glissando.io.atomic_folder import new_folder, require_new
 from glissando.io.plain_file import file_stem
@@ -42,6 +45,7 @@ The robot stands still at every time, nothing outside touches it, and its weight
 exit status: 0 done; 1 the tendons leave no static shape; 2 something given was wrong.
 """
 
+_SLOW = 10.0  # s between commands, beyond which they may well be milliseconds
 _PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 _MARKER_COLUMNS = ("time", "x", "y", "z", *(f"cov_{pair}" for pair in _PAIRS))
 
@@ -58,6 +62,23 @@ def add_to(commands: Commands) -> None:
     add("--out", required=True, type=Path, metavar="DIR", help="folder to write query.csv into")
 
 
+def _doubts(time: Array, displacement: Array, std: float) -> Iterator[str]:
+    """Sentences on commands that are probably in another unit."""
+    step = float(np.median(np.abs(np.diff(time)))) if time.size > 1 else 0.0
+    if step > _SLOW:
+        yield (
+            f"Times of the commands are {step:g} s apart: if they are milliseconds, divide them by "
+            f"1000, as velocities are wrong else."
+        )
+    most = float(np.abs(displacement).max())
+    if 0.0 < most < std:
+        yield (
+            f"No displacement exceeds {1e3 * most:.2g} mm, less than what they are off by "
+            f"({1e3 * std:.2g} mm, std of [tendons]): give metres, or millimetres where a column's "
+            f"name ends in _mm."
+        )
+
+
 def _predict(options: argparse.Namespace) -> int:
     require_writable(options.out.parent)
     require_new(options.out, GlissandoError)
@@ -69,6 +90,8 @@ def _predict(options: argparse.Namespace) -> int:
     given = [number("--arclength", place) for place in options.arclength or ()]
     places = np.unique(given) if given else robot.arclength_nodes
     time, displacement = read_tendon_commands(options.tendons, robot.tendons.names)
+    for doubt in _doubts(time, displacement, robot.tendons.std):
+        print(f"glissando: warning: {doubt}", file=sys.stderr)
     marker = options.stream and file_stem(options.stream)
     placed = [p.streams for p in robot.sensor_parameters if p.kind in ("frame", "mount")]
     if marker and not any(marker in streams for streams in placed):

@@ -8,6 +8,7 @@ Filtering and Smoothing* (2nd ed.), chapter 12.
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glissando._kernels.threads import one_thread
-from glissando.errors import OutsideGridError
+from glissando.errors import FalseConfidenceWarning, OutsideGridError
 from glissando.estimation.channels import place_in_channel
 from glissando.estimation.contact import ContactScan, force_variance, scan_of
 from glissando.estimation.contact_evidence import ErrorPrior, error_priors, force_evidence
@@ -42,6 +43,8 @@ from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.block_tridiagonal import Marginals
+
+_RESTARTS = 10  # of a window, after which it is asked whether most times were such
 
 
 class FixedLagSmoother:
@@ -84,6 +87,7 @@ class FixedLagSmoother:
         self._known = [p for p in sensor_parameters if p.known]
         self._steps = WindowSteps(self._window, window, gate)
         self._late, others = delayed(sensor_parameters)
+        self._advances, self._warned = 0, False
         self._errors: ErrorPrior | None = None  # of the window's first node, for contacts
         self._undelayed: WindowSteps | None = None  # the motion by which delays are known
         self._shown = prior.fixes_base
@@ -133,9 +137,25 @@ class FixedLagSmoother:
             if self._undelayed is not None and self._shown:
                 self._undelayed.advance(time)
             self._steps.advance(time)
+            self._warn_of_restarts()
             if self._steps.behind:
                 return self.at(self.arclength, time)
             return self._steps.newest()
+
+    def _warn_of_restarts(self) -> None:
+        """Say once that belief fades from update to update, as with times in another unit."""
+        self._advances += 1
+        restarts = self._steps.restarts
+        if self._warned or restarts < _RESTARTS or 2 * restarts < self._advances:
+            return
+        self._warned = True
+        warnings.warn(
+            f"The window began again from rest at {restarts} of {self._advances} times: what was "
+            f"read is forgotten by the next. Give times in seconds, not milliseconds, or read more "
+            f"often.",
+            FalseConfidenceWarning,
+            stacklevel=3,
+        )
 
     def newest(self) -> StateEstimate:
         """The newest state at the nodes (N,) with covariance (N, 18, 18)."""

@@ -52,6 +52,7 @@ def hat(x: Array) -> Array:
 
 def pose(rotation: Array, position: Array) -> Array:
     """Pose (…, 4, 4) of a rotation matrix (…, 3, 3) and a position (…, 3)."""
+    rotation, position = np.asarray(rotation), np.asarray(position)
     lead = np.broadcast_shapes(rotation.shape[:-2], position.shape[:-1])
     out = np.zeros((*lead, 4, 4))
     out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = rotation, position, 1.0

@@ -19,6 +19,7 @@ from glissando.solver.measurement_factors import states_at
 _GRATINGS = 16  # of a fibre along the body
 _CORES = {"core_radius": np.full(3, 35e-6), "core_angle": 2.0 * np.pi * np.arange(3) / 3.0}
 FIBRE, SLIDE = "fbg", "slide"
+_WIDEST = 0.3  # rad, likely standard deviation of a pose's angles
 _LARGEST = {  # likely standard deviation of a reading's first row, and its unit
     **dict.fromkeys(("coil", "pose", "position"), (0.05, "m")),
     "orientation": (1.0, "rad"),
@@ -123,6 +124,11 @@ def _std(given: Array, kind: str, rows: int) -> Array:
     if std.size == 2 and rows in (5, 6):
         std = np.repeat(std, 3)[:rows]
     likely = np.all(np.isfinite(std) & (std > 0.0)) and std[0] <= most
+    if rows in (5, 6) and np.any(std[3:] > _WIDEST):
+        raise GlissandoError(
+            f"A {kind} with a standard deviation of {std[3:].max():g} rad is not likely: probably "
+            f"degrees; give radians, up to {_WIDEST:g}."
+        )
     if std.shape not in ((1,), (rows,)) or not likely:
         raise GlissandoError(
             f"A {kind} with a standard deviation of {', '.join(f'{x:g}' for x in std)} is not "

@@ -128,14 +128,16 @@ def zone_points(
                 f"{span[0]:g} to {span[1]:g} s. Plan farther ahead, or give another time."
             )
         inside = time[(time >= overlap[0]) & (time <= overlap[1])]
-        place, at = zone.points(inside if inside.size else np.array([0.5 * sum(overlap)]))
+        inside = inside if inside.size else np.array([0.5 * sum(overlap)])
+        low, high = (float(end) for end in (zone.ends(inside)[0].min(), zone.ends(inside)[1].max()))
+        if low < -1e-9 or high > length + 1e-9:
+            raise GlissandoError(
+                f"A zone reaches from {low:g} to {high:g} m; the body from 0 to {length:g} m. Give "
+                f"arclengths on it."
+            )
+        place, at = zone.points(inside)
         points.append((place, at, np.full(at.size, zone.weight / at.size)))
     place, at, weight = (np.concatenate(part) for part in zip(*points, strict=True))
-    if place.min() < -1e-9 or place.max() > length + 1e-9:
-        raise GlissandoError(
-            f"A zone reaches from {place.min():g} to {place.max():g} m; the body from 0 to "
-            f"{length:g} m. Give arclengths on it."
-        )
     return np.clip(place, 0.0, length), at, weight / weight.sum()
 
 

@@ -26,6 +26,7 @@ from glissando.model.sensors.sensors import PoseReadings
 _LOOK = 0.005  # s between looks for the first reading
 _POLL = 0.02  # s between looks at what has come, while an update is waited for
 _OFF = 1.0  # s by which a source's newest reading may be off this computer's clock
+_MOST_NODES = 1000
 _NODES = 4  # in the smoother's window by default
 
 
@@ -239,8 +240,11 @@ def _require(
     """Raise GlissandoError for an argument that cannot be."""
     if not 0.1 <= rate <= 1000.0:
         raise GlissandoError(f"A rate of {rate:g} Hz cannot be; give 0.1 to 1000.")
-    if not 0.0 <= lag * rate <= 1000.0:
-        raise GlissandoError(f"A lag of {lag:g} s cannot be; give seconds, 0 or more.")
+    if not 0.0 <= lag * rate <= _MOST_NODES:
+        most = _MOST_NODES / rate
+        raise GlissandoError(
+            f"A lag of {lag:g} s cannot be; give seconds, 0 to {most:g} at {rate:g} Hz."
+        )
     if not 0.0 <= delay <= 10.0:
         raise GlissandoError(f"A delay of {delay:g} s cannot be; give seconds, 0 to 10.")
     if not 2 <= points <= 1000:
