@@ -13,6 +13,7 @@ from glissando.cli.progress import working
 from glissando.estimation.contact import ContactScan, scan_contacts
 from glissando.estimation.loads import load_places, require_mechanics
 from glissando.estimation.posterior import Posterior
+from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_table
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.visualization.canvas import save_figure
@@ -22,7 +23,8 @@ CONTACT_COLUMNS = [
     *("time", "arclength", "log_evidence", "log_evidence_anywhere", "threshold"),
     *(f"{what}_{axis}" for what in ("f", "std_f") for axis in "xyz"),
 ]
-"""Columns of contacts.csv: a force at each place and time, N in the body frame, and its std."""
+"""Columns of contacts.csv: evidence at each place and time; of each time the force at the likeliest
+place, N in the body frame, and its std, NaN where the evidence is none."""
 _MOMENTS = 6  # of the window, in the table of loads
 
 
@@ -34,8 +36,7 @@ def scanned(posterior: Posterior) -> ContactScan:
 
 def loads_json(posterior: Posterior, scan: ContactScan) -> dict[str, Any]:
     """Loads and contacts as JSON holds them."""
-    best = np.arange(scan.time.size), scan.best
-    std = np.sqrt(np.einsum("kii->ki", scan.cov[best]))
+    std = np.sqrt(np.einsum("kii->ki", scan.cov))
     contacts = {
         "false_alarms": scan.false_alarms,
         "time": scan.time.tolist(),
@@ -43,8 +44,8 @@ def loads_json(posterior: Posterior, scan: ContactScan) -> dict[str, Any]:
         "evidence": scan.evidence.tolist(),
         "threshold": scan.threshold.tolist(),
         "arclength": scan.arclength[scan.best].tolist(),
-        "force": scan.force[best].tolist(),
-        "std": std.tolist(),
+        "force": _known(scan.force),
+        "std": _known(std),
     }
     return {"loads": _rows(posterior), "contacts": contacts}
 
@@ -80,9 +81,13 @@ def print_loads(
         return
     surest = touched[np.argmax((scan.evidence - scan.threshold)[touched])]
     place = scan.arclength[scan.best[surest]]
+    force, std = scan.force[surest], np.sqrt(np.diagonal(scan.cov[surest]))
+    pairs = [f"{f:.2g} ± {s:.2g}" for f, s in zip(force, std, strict=True)]
+    pushed = "" if np.isnan(force).any() else f", with ({', '.join(pairs)}) N in the body frame"
     console.print(
         f"Something else touches the robot at {touched.size} {chance}. Surest at "
-        f"{scan.time[surest]:.3f} s, likeliest there at {place:.3g} m."
+        f"{scan.time[surest]:.3f} s, likeliest there at {place:.3g} m{pushed}.",
+        markup=False,
     )
     if count > 1 and isinstance(prior := posterior.prior, MechanicalPrior):
         console.print(
@@ -101,19 +106,24 @@ def print_loads(
 def write_contacts(scan: ContactScan, folder: Path) -> list[Path]:
     """Write contacts.csv, a row for each time and place, and its map, contacts.png."""
     count = scan.arclength.size
-    std = np.sqrt(np.einsum("kcii->kci", scan.cov))
+    std = np.sqrt(np.einsum("kii->ki", scan.cov))
     columns = [
         np.repeat(scan.time, count),
         np.tile(scan.arclength, scan.time.size),
         scan.log_ratio.ravel(),
         np.repeat(scan.evidence, count),
         np.repeat(scan.threshold, count),
-        *scan.force.reshape(-1, 3).T,
-        *std.reshape(-1, 3).T,
+        *np.repeat(scan.force, count, axis=0).T,
+        *np.repeat(std, count, axis=0).T,
     ]
     file = folder / "contacts.csv"
     write_table(file, CONTACT_COLUMNS, np.stack(columns, axis=1))
     return [file, save_figure(contact_figure(scan), folder / "contacts.png")]
+
+
+def _known(values: Array) -> list[list[float] | None]:
+    """Rows of numbers as JSON holds them; None for those that are not known."""
+    return [None if np.isnan(row).any() else row.tolist() for row in values]
 
 
 def _rows(posterior: Posterior) -> list[dict[str, Any]]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,18 +23,23 @@ from glissando.estimation.contact_evidence import (
     force_evidence,
     seen_times,
 )
+from glissando.estimation.contact_force import force_at, knows_forces, nearest_nodes
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
+from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index, with_places
 from glissando.model.priors.mechanical.prior import MechanicalPrior
+from glissando.model.quantiles import chi_square_quantile
 from glissando.model.sensors.readings import Readings
 from glissando.solver.block_tridiagonal import factor
 
+_LIKELY_NONE = chi_square_quantile(0.95, 3)  # squared force, in its covariance, of likely none
 _ROUNDS = 8
 _MISFIT = 5.0  # standard deviations of readings' misfit beyond which a search begins elsewhere
 _WORSE = 1.0  # by which the cost may grow on the way: a moment stands for a place that is off
 _STARTS = (0.15, 0.4, 0.65, 0.9)  # of the length
+_PLACES = 1000  # over which a force is summed
 _LEVER = 0.1  # of the length, by which a place may be wrong while it is sought
 
 
@@ -46,11 +51,13 @@ class ContactScan:
         time: Seconds (…), of time nodes.
         arclength: Places (C,), m.
         log_ratio: Log evidence (…, C) of a force there over none: the map over arclength and time.
-        force: Force (…, C, 3) there if it is there, N, body frame.
-        cov: Its covariance (…, C, 3, 3).
+        force: Force (…, 3) at the likeliest place if it is there, N, body frame; of several times
+            NaN where the evidence is none, or the readings of a short window do not tell.
+        cov: Its covariance (…, 3, 3).
         evidence: Log evidence (…) of a force anywhere over none, all places being as likely.
         threshold: What `evidence` exceeds, without any contact, in a share `false_alarms` of times.
         false_alarms: That share.
+        acts: Whether (…) a force is left there by readings of all times, where it was asked.
     """
 
     time: Array
@@ -61,23 +68,32 @@ class ContactScan:
     evidence: Array
     threshold: Array
     false_alarms: float
+    acts: Array = field(default_factory=lambda: np.ones((), dtype=bool))
 
     @property
     def detected(self) -> Array:
-        """Whether (…) something touches the robot."""
-        return np.asarray(self.evidence > self.threshold)
+        """Whether (…) something touches the robot.
+
+        A touch that begins or ends suddenly makes moments before and after it seem touched; at
+        those no force is left by the readings of all times.
+        """
+        return np.asarray(np.logical_and(self.evidence > self.threshold, self.acts))
 
     @property
     def best(self) -> Index:
         """Index (…) of the likeliest place."""
         return np.argmax(self.log_ratio, axis=-1)
 
+    def without_force(self) -> ContactScan:
+        """The scan where it is not known how large a force is."""
+        return replace(self, force=np.full(3, np.nan), cov=np.full((3, 3), np.nan))
+
     @staticmethod
     def over(scans: Sequence[ContactScan]) -> ContactScan:
         """Scans of K times with the same places as one, such as those of an online smoother."""
         parts = {
             name: np.stack([getattr(scan, name) for scan in scans])
-            for name in ("time", "log_ratio", "force", "cov", "evidence", "threshold")
+            for name in ("time", "log_ratio", "force", "cov", "evidence", "threshold", "acts")
         }
         places, rate = scans[0].arclength, scans[0].false_alarms
         return ContactScan(arclength=places, false_alarms=rate, **parts)
@@ -92,9 +108,9 @@ def scan_contacts(
 ) -> ContactScan:
     """Scan a posterior of a mechanical prior for one force, at the time nodes nearest to `time`.
 
-    A force counts as the prior's loads do, which fade over its `time_scale`: after a release it is
-    what would leave the fading rest of one, however small. For a force over time give the prior
-    `points`, or ask `locate_contact`. A time beside which nothing was read says nothing.
+    A force counts as the prior's loads do, which fade over its `time_scale`. Where one is likely at
+    one of several times, how large it is comes from all readings, with a force that may act on the
+    node nearest to that place at any time. A time beside which nothing was read says nothing.
 
     Args:
         posterior: The posterior, in whose prior there is no contact.
@@ -131,7 +147,35 @@ def scan_contacts(
         evidence = force_evidence(prior, nodes, errors[k], state.take(k), cov[k], step[k])
         evidence = evidence if seen[k] else evidence.of_nothing()
         scans.append(scan_of(evidence, errors[k].time, variance, false_alarms))
+    if grid.time.size > 1:
+        scans = with_forces(posterior, scans, rows, variance)
     return ContactScan.over(scans) if when.ndim else scans[0]
+
+
+def with_forces(
+    posterior: Posterior, scans: Sequence[ContactScan], rows: Index, variance: Array
+) -> list[ContactScan]:
+    """Scans of some of several times with the force at the likeliest place of each.
+
+    Args:
+        posterior: The posterior.
+        scans: K scans.
+        rows: Their time nodes (K,).
+        variance: Prior variance (3,) of a force, N².
+    """
+    out = [scan.without_force() for scan in scans]
+    likely = np.array([bool(scan.evidence > scan.threshold) for scan in scans])
+    likely &= knows_forces(posterior)
+    place = np.array([scan.arclength[scan.best] for scan in scans])
+    nodes = nearest_nodes(posterior.grid.arclength, place)
+    for node in np.unique(nodes[likely]):
+        which = np.flatnonzero(likely & (nodes == node))
+        force, cov = force_at(posterior, int(node), variance, rows[which])
+        turns = posterior.at(place[which], posterior.grid.time[rows[which]]).pose[:, :3, :3]
+        for k, f, c, turn in zip(which.tolist(), force, cov, turns, strict=True):
+            acts = np.asarray(f @ np.linalg.solve(c, f) > _LIKELY_NONE)
+            out[k] = replace(scans[k], force=turn.T @ f, cov=turn.T @ c @ turn, acts=acts)
+    return out
 
 
 def scan_of(
@@ -152,10 +196,12 @@ def scan_of(
     cov, half_log_det = evidence.given_force(variance)
     force = np.einsum("cij,cj->ci", cov, evidence.vector)
     ratio = 0.5 * np.einsum("ci,ci->c", evidence.vector, force) - half_log_det
+    best = int(np.argmax(ratio))
     total = np.asarray(logsumexp(ratio, b=evidence.shares))
     threshold = np.asarray(evidence.untouched(variance, false_alarms))
     when, places = np.asarray(time), evidence.arclength
-    return ContactScan(when, places, ratio, force, cov, total, threshold, false_alarms)
+    found = force[best], cov[best]
+    return ContactScan(when, places, ratio, *found, total, threshold, false_alarms)
 
 
 def bending_force(prior: MechanicalPrior, arclength: Array) -> float:
@@ -239,9 +285,50 @@ def locate_contact(
             break
         if other.posterior.solve.cost < best.posterior.solve.cost + _WORSE:
             best, reach = other, max(reach, 0.5 * abs(best.move))
-    place = float(np.clip(best.place + best.move, 0.0, length))
-    std = float(np.sqrt(best.cov[3, 3]))
-    return Contact(place, std, best.force, best.cov[:3, :3], best.posterior)
+    return Contact(*best.wrench.over_places(best.place, length), best.posterior)
+
+
+@dataclass(frozen=True)
+class _Wrench:
+    """What readings say of the wrench (6,) on a node, world frame, its prior left out.
+
+    Attributes:
+        vector: Information vector (6,), N⁻¹ and (N m)⁻¹.
+        information: Its information (6, 6).
+        tangent: Tangent (3,) of the backbone.
+        of_force: Prior information (3, 3) of a force, N⁻².
+    """
+
+    vector: Array
+    information: Array
+    tangent: Array
+    of_force: Array
+
+    def over_places(self, place: float, length: float) -> tuple[float, float, Array, Array]:
+        """Place and force, with standard deviation and covariance (3, 3), over all places.
+
+        A force Δs beyond the node makes the moment Δs t × f there. Near the base readings show the
+        product of both, and the force goes with one over the place: it is Gaussian at each place
+        alone, so places are summed over.
+
+        Args:
+            place: Arclength of the node, m.
+            length: Length of the robot, m.
+        """
+        places = (np.arange(_PLACES) + 0.5) * length / _PLACES
+        lever = np.zeros((_PLACES, 6, 3))
+        lever[:, :3] = np.eye(3)
+        lever[:, 3:] = (places - place)[:, None, None] * se3.hat3(self.tangent)
+        back = np.swapaxes(lever, -1, -2)
+        cov = np.asarray(np.linalg.inv(back @ self.information @ lever + self.of_force))
+        force = np.einsum("pij,pj->pi", cov, back @ self.vector)
+        log = 0.5 * np.einsum("pi,pi->p", force, back @ self.vector)
+        log += 0.5 * np.linalg.slogdet(cov)[1]
+        share = np.exp(log - logsumexp(log))
+        where, mean = share @ places, share @ force
+        spread = np.einsum("p,pi,pj->ij", share, force - mean, force - mean)
+        std = np.hypot(np.sqrt(share @ (places - where) ** 2), length / _PLACES / np.sqrt(12.0))
+        return float(where), float(std), mean, np.einsum("p,pij->ij", share, cov) + spread
 
 
 @dataclass(frozen=True)
@@ -250,6 +337,7 @@ class _Touched:
 
     posterior: Posterior
     place: float
+    wrench: _Wrench
     force: Array
     cov: Array
     move: float
@@ -282,7 +370,7 @@ def _touched_at(
 
 def _without_moment(
     posterior: Posterior, place: float, variance: Array
-) -> tuple[Array, Array, float]:
+) -> tuple[_Wrench, Array, Array, float]:
     """A force (3,) without moment that explains the wrench at a node, and how far beyond it acts.
 
     Of the wrench's posterior what readings say is kept, its prior variance (6,) is not. Along the
@@ -295,11 +383,14 @@ def _without_moment(
     turn = posterior.state.pose[k, n, :3, :3]
     turns = np.kron(np.eye(2), turn)
     information, before = np.linalg.inv(load.cov), turns / variance @ turns.T
+    tangent = turn @ posterior.state.strain[k, n, :3]
+    said = np.asarray(information @ load.wrench, dtype=float)
+    wrench = _Wrench(said, np.asarray(information - before), tangent, before[:3, :3])
     lever = np.zeros((6, 4))
     lever[:3, :3] = np.eye(3)
-    lever[3:, 3] = np.cross(turn @ posterior.state.strain[k, n, :3], load.force)
+    lever[3:, 3] = np.cross(tangent, load.force)
     known = np.zeros((4, 4))
-    known[:3, :3], known[3, 3] = before[:3, :3], float(posterior.grid.arclength[-1]) ** -2.0
-    cov = np.asarray(np.linalg.inv(lever.T @ (information - before) @ lever + known), dtype=float)
-    best = cov @ lever.T @ information @ load.wrench
-    return best[:3], cov, float(best[3])
+    known[:3, :3], known[3, 3] = wrench.of_force, float(posterior.grid.arclength[-1]) ** -2.0
+    cov = np.asarray(np.linalg.inv(lever.T @ wrench.information @ lever + known), dtype=float)
+    best = cov @ lever.T @ wrench.vector
+    return wrench, best[:3], cov, float(best[3])

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from glissando._kernels.threads import one_thread
 from glissando.errors import FalseConfidenceWarning, OutsideGridError
 from glissando.estimation.channels import place_in_channel
-from glissando.estimation.contact import ContactScan, force_variance, scan_of
+from glissando.estimation.contact import ContactScan, force_variance, scan_of, with_forces
 from glissando.estimation.contact_evidence import ErrorPrior, error_priors, force_evidence
 from glissando.estimation.delays import delayed
 from glissando.estimation.foretold import foretold
@@ -187,7 +187,13 @@ class FixedLagSmoother:
         evidence = force_evidence(prior, self.arclength, *newest)
         evidence = evidence if self._steps.read else evidence.of_nothing()
         variance = force_variance(prior, self.arclength, std_force)
-        return scan_of(evidence, errors[-1].time, variance, false_alarms)
+        scan = scan_of(evidence, errors[-1].time, variance, false_alarms)
+        if len(nodes) == 1 and self._window.before is None:
+            return scan
+        if not scan.evidence > scan.threshold:
+            return scan.without_force()
+        row = np.array([len(nodes) - 1])
+        return with_forces(self._window.posterior(), [scan], row, variance)[0]
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State and covariance inside the window, or ahead of it as the prior predicts.
