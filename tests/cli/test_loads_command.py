@@ -145,6 +145,15 @@ def test_contacts_are_mapped_over_arclength_and_time(recording, tmp_path, capsys
     np.testing.assert_allclose(mesh.get_coordinates()[[0, -1], 0, 1], [0.0, 500.0])
     evidence, threshold = (line.get_ydata() for line in lower.get_lines()[:2])
     np.testing.assert_allclose([evidence, threshold], [scan.evidence, scan.threshold])
+    pushed = {
+        "force": np.tile([0.1, 0.0, 0.0], (5, 1)),
+        "cov": np.tile(1e-4 * np.eye(3), (5, 1, 1)),
+    }
+    print_loads(posterior, replace(scan, evidence=scan.threshold + 1.0, **pushed), Console())
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "with (0.1 ± 0.01, 0 ± 0.01, 0 ± 0.01) N in the body frame" in printed
+    assert "1.000 !" in printed
+    assert "At times marked ! the table explains by expected loads" in printed
     touched = replace(scan, evidence=scan.threshold + np.where(scan.time > 0.5, 1.0, -1.0))
     (dots,) = contact_figure(touched)[0].get_lines()
     assert dots.get_xdata().size == np.sum(scan.time > 0.5)

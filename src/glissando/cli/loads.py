@@ -70,7 +70,9 @@ def print_loads(
             for value, std in zip(row["force"] + row["moment"], row["std"], strict=True)
         ]
         cells = ", ".join(pairs[:3]), ", ".join(pairs[3:])
-        table.add_row(f"{row['time']:.3f}", f"{row['arclength']:.4f}", *cells)
+        nearest = int(np.abs(scan.time - row["time"]).argmin())
+        mark = " !" if scan.detected[nearest] else ""
+        table.add_row(f"{row['time']:.3f}{mark}", f"{row['arclength']:.4f}", *cells)
     console.print(table)
     touched, count = np.flatnonzero(scan.detected), scan.time.size
     read = int(np.any(scan.log_ratio != 0.0, axis=-1).sum())  # others say nothing
@@ -87,6 +89,11 @@ def print_loads(
     console.print(
         f"Something else touches the robot at {touched.size} {chance}. Surest at "
         f"{scan.time[surest]:.3f} s, likeliest there at {place:.3g} m{pushed}.",
+        markup=False,
+    )
+    console.print(
+        "At times marked ! the table explains by expected loads what the touch does: do not trust "
+        "it there.",
         markup=False,
     )
     if count > 1 and isinstance(prior := posterior.prior, MechanicalPrior):
