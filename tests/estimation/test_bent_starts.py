@@ -207,12 +207,31 @@ class Scripted:
         return SimpleNamespace(parameters=SimpleNamespace(by_name=list))
 
 
+def test_a_search_that_is_far_from_any_minimum_after_long_is_left_for_others(monkeypatch):
+    monkeypatch.setattr(several_starts, "is_implausible", lambda prior, end, _=0: end.cost > 20.0)
+    asked = []
+
+    def solve(initial, options=None):
+        asked.append((initial[0], options and options.max_iterations))
+        lost = len(asked) == 1
+        return Scripted(*((500.0, Outcome.ITERATION_LIMIT) if lost else (5.6, Outcome.CONVERGED)))
+
+    sought = several_starts.Sought(
+        robot(np.pi).prior, Grid([0.0, LENGTH], [0.0]), [], SolverOptions(), None
+    )
+    assert several_starts.best_end(sought, (None, []), solve).cost == 5.6
+    assert asked[0] == (None, 40)
+    assert asked[1][0] is not None  # a bent shape, not the search's own end
+
+
 @pytest.mark.parametrize(
     ("first", "other", "kept"),
     [
         ((5.6, Outcome.ITERATION_LIMIT), (58_640.0, Outcome.CONVERGED), 5.6),
         ((58_640.0, Outcome.CONVERGED), (5.6, Outcome.ITERATION_LIMIT), 5.6),
         ((9.0, Outcome.ITERATION_LIMIT), (5.6, Outcome.CONVERGED), 5.6),
+        ((500.0, Outcome.ITERATION_LIMIT), (5.6, Outcome.CONVERGED), 5.6),
+        ((500.0, Outcome.ITERATION_LIMIT), (300.0, Outcome.CONVERGED), 300.0),
         ((500.0, Outcome.CONVERGED), (300.0, Outcome.CONVERGED), 300.0),
     ],
 )

@@ -21,10 +21,12 @@ from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.gauss_newton import Solution, SolverOptions
+from glissando.solver.outcome import Outcome
 
 _DOUBTFUL = 10.0  # standard deviations a number by which a start may be off and still be trusted
 _MOMENTS, _OF_ROD = 8, 28  # time nodes over which one shape is a start for all; of a rod are tried
 _ROUGH_ITERATIONS = 30  # from a bent shape
+_PATIENCE = 40  # iterations after which a search that is far from any minimum is left for others
 _SUSPECT = 3.0  # times the cost that is expected, beyond which other starts are tried
 
 Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
@@ -98,7 +100,7 @@ def best_end(sought: Sought, start: Start, solve: Solve) -> Solution:
 def _best_end(sought: Sought, start: Start, solve: Solve) -> Solution:
     prior, elsewhere = sought.prior, _elsewhere(sought)
     try:
-        end = solve(start)
+        end, elsewhere = _patient(sought, start, solve, elsewhere)
     except (np.linalg.LinAlgError, UnobservableError):
         other = elsewhere(sought, None, start, solve) if elsewhere else None
         if other is None or _is_astray(prior, other):
@@ -110,6 +112,28 @@ def _best_end(sought: Sought, start: Start, solve: Solve) -> Solution:
     if elsewhere and _is_astray(prior, end):
         end = elsewhere(sought, end, start, solve) or end
     return end
+
+
+def _patient(
+    sought: Sought, start: Start, solve: Solve, elsewhere: _Elsewhere | None
+) -> tuple[Solution, _Elsewhere | None]:
+    """Where a search ends, or others if it is still far from any minimum after long.
+
+    Also how to start elsewhere, if that is not done yet.
+    """
+    if elsewhere is None:
+        return solve(start), None
+    prior, options = sought.prior, sought.options
+    end = solve(start, replace(options, max_iterations=min(options.max_iterations, _PATIENCE)))
+    left = options.max_iterations - _PATIENCE
+    if end.outcome is not Outcome.ITERATION_LIMIT or left <= 0:
+        return end, elsewhere
+    far = is_implausible(prior, end, _SUSPECT)
+    if far and (other := elsewhere(sought, end, start, solve)) and not _is_astray(prior, other):
+        return other, None
+    onward = solve(start_at(end), replace(options, max_iterations=left))
+    onward = replace(onward, first_step=end.first_step)
+    return max(end, onward, key=partial(_worth, prior)), None if far else elsewhere
 
 
 def start_at(solution: Solution) -> Start:
