@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from glissando.estimation.carried import carried
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
@@ -60,12 +61,11 @@ def with_force(posterior: Posterior, node: int, variance: Array) -> Posterior:
     rhs[:, :count] += other[2] - own[2]
     system = BlockTridiagonal(diagonal, lower)
     cholesky = factor(system)
-    start, _ = posterior.linearized or (posterior.state, posterior.state)
+    start = posterior.linearization_point
     step = cholesky.solve(rhs)[:, :count].reshape(*start.pose.shape[:2], start.dof)
     state = start.retract(step)
-    return replace(
-        posterior, prior=prior, state=state, system=system, marginals=cholesky.marginals()
-    )
+    marginals = carried(start, state, cholesky.marginals())  # (35)
+    return replace(posterior, prior=prior, state=state, system=system, marginals=marginals)
 
 
 def force_at(posterior: Posterior, node: int, variance: Array, rows: Index) -> tuple[Array, Array]:
