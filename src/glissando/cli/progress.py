@@ -56,15 +56,15 @@ class Work:
         >>> work = Work("estimating arm")
         >>> work.update(1, 4, "iteration 3")
         >>> work.line()
-        'estimating arm: iteration 3, 25 % done, 0 s, about 0 s left'
+        'estimating arm: iteration 3, 25 % done, 0 s'
         """
         elapsed = time.monotonic() - self._began
         parts = [self.note] if self.note else []
         parts += [f"{100 * self.share:.0f} % done"] if self.share is not None else []
         parts.append(f"{elapsed:.0f} s")
         if self.share is not None and self.share > _SOON:
-            left = max(0.0, self._came / self.share - elapsed)  # counts down while a part lasts
-            parts.append(f"about {left:.0f} s left")
+            left = self._came / self.share - elapsed  # counts down while a part lasts
+            parts += [f"about {left:.0f} s left"] if left >= 0.5 else []
         return f"{self.doing}: {', '.join(parts)}"
 
 
