@@ -34,7 +34,7 @@ from glissando.model.quantiles import chi_square_quantile
 from glissando.model.sensors.readings import Readings
 from glissando.solver.block_tridiagonal import factor
 
-_LIKELY_NONE = chi_square_quantile(0.95, 3)  # squared force, in its covariance, of likely none
+_LIKELY = chi_square_quantile(0.95, 3)  # squared error of a force, in its covariance
 _ROUNDS = 8
 _MISFIT = 5.0  # standard deviations of readings' misfit beyond which a search begins elsewhere
 _WORSE = 1.0  # by which the cost may grow on the way: a moment stands for a place that is off
@@ -173,9 +173,17 @@ def with_forces(
         force, cov = force_at(posterior, int(node), variance, rows[which])
         turns = posterior.at(place[which], posterior.grid.time[rows[which]]).pose[:, :3, :3]
         for k, f, c, turn in zip(which.tolist(), force, cov, turns, strict=True):
-            acts = np.asarray(f @ np.linalg.solve(c, f) > _LIKELY_NONE)
-            out[k] = replace(scans[k], force=turn.T @ f, cov=turn.T @ c @ turn, acts=acts)
+            out[k] = _with_force(scans[k], turn.T @ f, turn.T @ c @ turn)
     return out
+
+
+def _with_force(scan: ContactScan, force: Array, cov: Array) -> ContactScan:
+    """A scan with the force (3,) that readings of all times say acts, and its covariance (3, 3).
+
+    None acts where that may be none, and not what the readings of one time say.
+    """
+    none, said = (off @ np.linalg.solve(cov, off) < _LIKELY for off in (force, force - scan.force))
+    return replace(scan, force=force, cov=cov, acts=np.asarray(said or not none))
 
 
 def scan_of(
