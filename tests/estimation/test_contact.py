@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from glissando import CoilReadings, FixedLagSmoother, Grid, SolverOptions, estimate
 from glissando.errors import GlissandoError, OutsideGridError
-from glissando.estimation.contact import ContactScan, locate_contact, scan_contacts
+from glissando.estimation.contact import ContactScan, locate_contact, scan_contacts, scan_of
 from glissando.estimation.contact_evidence import error_priors
 from glissando.geometry import se3
 from glissando.model.mechanics import Mechanics
@@ -272,14 +272,24 @@ def test_what_is_believed_of_errors_of_a_moving_robot_is_what_all_factors_say():
     assert np.abs(off / fresh[0].of_errors).max() > 0.01  # shapes before do matter
 
 
-def test_a_scan_counts_no_information_that_there_is_not(swaying):
+def test_a_scan_counts_no_information_that_there_is_not(swaying, monkeypatch):
     """A force is never known worse than before, and online an untouched robot gives no alarm."""
-    smoother, scans = FixedLagSmoother(SWAYED, NODES, window=3, gate=None), []
+    smoother, scans, covs = FixedLagSmoother(SWAYED, NODES, window=3, gate=None), [], []
+
+    def noting(evidence, time, variance, false_alarms):
+        covs.append(evidence.given_force(variance)[0])
+        return scan_of(evidence, time, variance, false_alarms)
+
+    monkeypatch.setattr("glissando.estimation.fixed_lag.scan_of", noting)
     smoother.add(swaying)
     for time in TIMES:
         smoother.advance(float(time))
         scans.append(smoother.contacts(std_force=STD))
     scan = ContactScan.over(scans)
+    value = np.linalg.eigvalsh(np.array(covs) / np.outer(STD, STD))
+    assert value.min() > 0.0
+    assert value.max() < 1.0 + 1e-9
+    assert value[0, 0].min() > 0.9  # beside the base, at the first time
     assert not scan.detected.any()
 
 

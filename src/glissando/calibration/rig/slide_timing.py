@@ -16,6 +16,7 @@ _LAP = 0.1  # s over which speeds are taken
 _STEP = 0.025  # s between delays that are tried
 _NUDGE = 0.02  # s over which the carriage's speed is differenced
 _ROUNDS = 5
+_EXACT = 1e-8  # m, standard deviation of a backlash that is known
 _CORRELATED = 4.0  # neighbouring speeds that share the noise of a coil reading
 
 
@@ -54,7 +55,8 @@ def against_slide(data: RigData, expected: Rig, std: Array) -> tuple[Rig, Array]
     cov, play = np.diag(std**2), expected.backlash
     if not data.slides or np.ptp(data.travel) < 1e-3:
         return expected, cov
-    lag, gain, known = slide_lag(data), 0.0, np.diag([0.0, 0.0, std[_FOUND[2]] ** -2.0])
+    known = np.diag([0.0, 0.0, max(std[_FOUND[2]], _EXACT) ** -2.0])
+    lag, gain = slide_lag(data), 0.0
     stamps, coil_speed = _coil_speeds(data)
     for _ in range(_ROUNDS):
         followed = data.travel - 0.5 * play * data.side
