@@ -24,9 +24,9 @@ from glissando.estimation.contact_evidence import (
     seen_times,
 )
 from glissando.estimation.contact_force import force_at, knows_forces, nearest_nodes
+from glissando.estimation.contact_wrench import Wrench, wrench_at
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index, with_places
 from glissando.model.priors.mechanical.prior import MechanicalPrior
@@ -39,7 +39,6 @@ _ROUNDS = 8
 _MISFIT = 5.0  # standard deviations of readings' misfit beyond which a search begins elsewhere
 _WORSE = 1.0  # by which the cost may grow on the way: a moment stands for a place that is off
 _STARTS = (0.15, 0.4, 0.65, 0.9)  # of the length
-_PLACES = 1000  # over which a force is summed
 _LEVER = 0.1  # of the length, by which a place may be wrong while it is sought
 
 
@@ -284,7 +283,7 @@ def locate_contact(
                 other = _touched_at(prior, grid, readings, share * length, variance)
                 best = min(best, other, key=lambda touched: touched.posterior.solve.cost)
     for _ in range(_ROUNDS):
-        if abs(best.move) < 0.1 * float(np.sqrt(best.cov[3, 3])) + 1e-4 * length:
+        if abs(best.move) < 0.1 * best.std + 1e-4 * length:
             break
         place = best.place + float(np.clip(best.move, -reach, reach))
         other = _touched_at(prior, grid, readings, place, variance, best.posterior)
@@ -297,58 +296,14 @@ def locate_contact(
 
 
 @dataclass(frozen=True)
-class _Wrench:
-    """What readings say of the wrench (6,) on a node, world frame, its prior left out.
-
-    Attributes:
-        vector: Information vector (6,), N⁻¹ and (N m)⁻¹.
-        information: Its information (6, 6).
-        tangent: Tangent (3,) of the backbone.
-        of_force: Prior information (3, 3) of a force, N⁻².
-    """
-
-    vector: Array
-    information: Array
-    tangent: Array
-    of_force: Array
-
-    def over_places(self, place: float, length: float) -> tuple[float, float, Array, Array]:
-        """Place and force, with standard deviation and covariance (3, 3), over all places.
-
-        A force Δs beyond the node makes the moment Δs t × f there. Near the base readings show the
-        product of both, and the force goes with one over the place: it is Gaussian at each place
-        alone, so places are summed over.
-
-        Args:
-            place: Arclength of the node, m.
-            length: Length of the robot, m.
-        """
-        places = (np.arange(_PLACES) + 0.5) * length / _PLACES
-        lever = np.zeros((_PLACES, 6, 3))
-        lever[:, :3] = np.eye(3)
-        lever[:, 3:] = (places - place)[:, None, None] * se3.hat3(self.tangent)
-        back = np.swapaxes(lever, -1, -2)
-        cov = np.asarray(np.linalg.inv(back @ self.information @ lever + self.of_force))
-        force = np.einsum("pij,pj->pi", cov, back @ self.vector)
-        log = 0.5 * np.einsum("pi,pi->p", force, back @ self.vector)
-        log += 0.5 * np.linalg.slogdet(cov)[1]
-        share = np.exp(log - logsumexp(log))
-        where, mean = share @ places, share @ force
-        spread = np.einsum("p,pi,pj->ij", share, force - mean, force - mean)
-        std = np.hypot(np.sqrt(share @ (places - where) ** 2), length / _PLACES / np.sqrt(12.0))
-        return float(where), float(std), mean, np.einsum("p,pij->ij", share, cov) + spread
-
-
-@dataclass(frozen=True)
 class _Touched:
-    """A force tried at a place: it, how far beyond it acts, and the covariance (4, 4) of both."""
+    """A load tried at a place: what readings say of it, how far beyond it a force would act."""
 
     posterior: Posterior
     place: float
-    wrench: _Wrench
-    force: Array
-    cov: Array
+    wrench: Wrench
     move: float
+    std: float
 
 
 def _touched_at(
@@ -373,32 +328,5 @@ def _touched_at(
     )
     start = None if near_by is None else near_by.states_on(finer)
     posterior = estimate(touched, finer, readings, initial=start)
-    return _Touched(posterior, place, *_without_moment(posterior, place, variance))
-
-
-def _without_moment(
-    posterior: Posterior, place: float, variance: Array
-) -> tuple[_Wrench, Array, Array, float]:
-    """A force (3,) without moment that explains the wrench at a node, and how far beyond it acts.
-
-    Of the wrench's posterior what readings say is kept, its prior variance (6,) is not. Along the
-    world's axes, as a torsional moment that is no more would turn those of the body. Also the
-    covariance (4, 4) of [force, how far].
-    """
-    k = posterior.grid.time.size - 1
-    load = posterior.load(place, posterior.grid.time[k], frame="world")
-    n = int(np.abs(posterior.grid.arclength - place).argmin())
-    turn = posterior.state.pose[k, n, :3, :3]
-    turns = np.kron(np.eye(2), turn)
-    information, before = np.linalg.inv(load.cov), turns / variance @ turns.T
-    tangent = turn @ posterior.state.strain[k, n, :3]
-    said = np.asarray(information @ load.wrench, dtype=float)
-    wrench = _Wrench(said, np.asarray(information - before), tangent, before[:3, :3])
-    lever = np.zeros((6, 4))
-    lever[:3, :3] = np.eye(3)
-    lever[3:, 3] = np.cross(tangent, load.force)
-    known = np.zeros((4, 4))
-    known[:3, :3], known[3, 3] = wrench.of_force, float(posterior.grid.arclength[-1]) ** -2.0
-    cov = np.asarray(np.linalg.inv(lever.T @ wrench.information @ lever + known), dtype=float)
-    best = cov @ lever.T @ wrench.vector
-    return wrench, best[:3], cov, float(best[3])
+    wrench = wrench_at(posterior, place, variance)
+    return _Touched(posterior, place, wrench, *wrench.beyond(length))
