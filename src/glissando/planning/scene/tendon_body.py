@@ -20,8 +20,9 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 from glissando.model.robot import Robot
-from glissando.model.tendons.statics import Equilibrium, equilibrium, levers, reaches
+from glissando.model.tendons.statics import Equilibrium, equilibrium
 from glissando.model.tendons.tendon_rod import TendonRod, tendon_rod
+from glissando.planning.scene.equilibrium_slopes import back_to_displacement
 
 _KNOWN = 0.1  # of what the tip's standard deviation is without, that a known base may make it
 
@@ -244,7 +245,9 @@ class BodyShapes:
         wrench[..., ::2, :3] = by_place
         wrench[..., ::2, 3:] = np.cross(self.place, by_place) + by_turn
         wrench[..., 1::2, :] = wrench_middle
-        return self._to_displacement(self._by_strain(wrench), by_strain_slope)
+        by_strain = self._by_strain(wrench)
+        moved = self.strain_by_displacement, self.strain_by_error, self.body.std
+        return back_to_displacement(self.balance, moved, by_strain, by_strain_slope)
 
     def _back_steps(self, by_step: Array) -> tuple[Array, Array]:
         """From slopes (G, K, N−1, 6, q) by the twists of steps to those by `strain_by_error`.
@@ -278,45 +281,6 @@ class BodyShapes:
         along = half[..., None] * se3.left_jacobian(half * self.balance.strain)
         return np.asarray((along.mT @ local[..., None])[..., 0])
 
-    def _to_displacement(self, by_strain: Array, by_slope: Array) -> Array:
-        """Slopes (G, K, T) by displacements, of slopes by strain and by `strain_by_error`.
-
-        With E the energy and A the inverse of its Hessian, dS = −A (dH S + dC); so that with
-        Y = A ∂φ/∂S the value changes by −Y : dH S − Y : dC, in terms of each tendon's tension τ,
-        stiffness k, its slope k′, and the length |t| of its tangent.
-        """
-        balance, rod = self.balance, self.balance.rod
-        length, count = rod.length, len(rod.tendons)
-        own = self.strain_by_error
-        back = balance.strain_by(by_slope / length[:, None, None], balance.slope)
-        reach = length[:, None] * balance.reach  # of z = stretch by strain
-        along, along_back = (np.einsum("ktpi,...kpiq->...ktq", reach, x) for x in (own, back))
-        arm, (_, unit, speed, inside) = levers(rod), reaches(rod, balance.strain)
-        bend, bend_back = (arm @ x[..., None, :, :, :] for x in (own, back))
-        unit_parts = [unit[..., None, :] @ x for x in (bend, bend_back)]
-        flat = [x - unit[..., None] * part
-                for x, part in zip((bend, bend_back), unit_parts, strict=True)]  # fmt: skip
-        weight = inside * length / speed
-        squared = np.sum(flat[0] * flat[1], axis=(-2, -1))
-        k, slope = balance.slope, _stiffening(rod, k=balance.slope)
-        curved = np.sum(weight * squared, axis=-1)
-        by_stretch = k * curved + slope * np.sum(along * along_back, axis=-1)
-        std, picked = self.body.std, np.arange(count)
-        by_stretch += std * slope * along_back[..., picked, picked]
-        # ∂/∂t of |t|: through reach in `along` and through what is across t
-        lever = flat[0] @ along_back[..., None, :, None] + flat[1] @ along[..., None, :, None]
-        own_pull = np.moveaxis(flat[1][..., picked, :, :, picked], 0, -3)
-        lever = lever[..., 0] + std[:, None, None] * own_pull
-        third = flat[0] @ unit_parts[1].mT + flat[1] @ unit_parts[0].mT
-        third = third[..., 0] + unit * squared[..., None]
-        by_tangent = weight[..., None] * (
-            k[..., None, None] * lever - (balance.tension[..., None] / speed)[..., None] * third
-        )
-        partial = np.einsum("tpai,...ktpa->...kpi", arm, by_tangent)
-        partial += np.einsum("...kt,ktpi->...kpi", by_stretch, reach)
-        by_pull = np.einsum("kpit,...kpi->...kt", self.strain_by_displacement, by_strain - partial)
-        return np.asarray(by_pull - by_stretch)
-
 
 def _summed_up(steps: Array) -> Array:
     """Sums (…, N+1, 6, q) of the steps (…, N, 6, q) before each place."""
@@ -344,9 +308,3 @@ def _summed(a: Array, b: Array) -> Array:
         ],
         axis=-1,
     )
-
-
-def _stiffening(rod: TendonRod, k: Array) -> Array:
-    """Slope (K, T) of a tendon's stiffness (K, T) by its stretch, of the softened ramp."""
-    share = k / rod.tendons.stiffness
-    return k * (1.0 - share) / rod.tendons.softness
