@@ -82,6 +82,35 @@ def rolls_between(before, after):
     return out
 
 
+@jit("(f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], i8)")
+def slopes_between(before, here, after, there, dof):
+    """How steps from poses (M, 4, 4) `after` go with those from `before` that led there.
+
+    Args:
+        before: Poses that rolled.
+        here: Their fields (M, f) of the body frame, which turn with them.
+        after: Where they are.
+        there: Those fields now.
+        dof: Numbers of a point, of which the first are the pose's and then these fields'.
+
+    Returns:
+        Slopes (M, dof, dof); see `State.slope_to`.
+    """
+    out, angle = np.zeros((len(before), dof, dof)), rolls_between(before, after)
+    for n in range(len(before)):
+        c, s, slope = cos(angle[n]), sin(angle[n]), out[n]
+        for i in range(dof):
+            slope[i, i] = 1.0
+        for x in range(0, 6 + here.shape[1], 3):
+            slope[x, x] = slope[x + 1, x + 1] = c
+            slope[x, x + 1], slope[x + 1, x] = s, -s
+            if x > 3:
+                a, b = here[n, x - 6], here[n, x - 5]
+                slope[x, 5] = there[n, x - 5] - c * b + s * a
+                slope[x + 1, 5] = c * a + s * b - there[n, x - 6]
+    return out
+
+
 @jit("(f8[:,:,:,::1], f8[:,:,::1])")
 def carry_columns(slopes, blocks):
     """Multiply blocks (K, R, D) on the right by the transposes of what `State.slope_to` returns.

@@ -21,28 +21,18 @@ def has_rolled(start: State, end: State) -> bool:
     return bool(np.abs(end.rolls_from(start)).max() > _TURNED)
 
 
-def carried_rows(start: State, end: State, rows: Array) -> Array:
-    """Numbers that belong to steps from one state as those of steps from another.
-
-    Args:
-        start: Points (N,) where the steps begin.
-        end: Points (N,) where one of them led.
-        rows: Rows (R, D) of numbers: N · dof of the points, then others, which stay.
-
-    Returns:
-        The rows (R, D): of a root R of the covariance RᵀR of steps, those of the other's root.
-    """
-    out = rows.copy()
-    rolls.carry_columns(start.slope_to(end)[None], out[None])
-    return out
+def carry(slopes: Array, cov: Array) -> Array:
+    """Covariances (K, D, D) turned by slopes (K, N, dof, dof) of `State.slope_to`, in place."""
+    rolls.carry_columns(slopes, cov)
+    rolls.carry_rows(slopes, cov)
+    return cov
 
 
 def carried(start: State, end: State, marginals: Marginals) -> Marginals:
     """Covariances of steps from nodes (K, N) `start` as those of steps from `end`, in place."""
     if has_rolled(start, end):
         slopes = start.slope_to(end)
-        rolls.carry_columns(slopes, marginals.cov)
-        rolls.carry_rows(slopes, marginals.cov)
+        carry(slopes, marginals.cov)
         rolls.carry_columns(slopes[1:], marginals.cross)
         rolls.carry_rows(slopes[:-1], marginals.cross)
     return marginals

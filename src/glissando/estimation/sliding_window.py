@@ -16,7 +16,8 @@ import numpy as np
 
 from glissando._kernels import normal_equations as kernels
 from glissando._kernels import window as window_kernels
-from glissando.estimation.carried import carried, carried_rows, has_rolled
+from glissando._kernels.arrays import whole
+from glissando.estimation.carried import carried, carry, has_rolled
 from glissando.estimation.channels import place_in_channel
 from glissando.estimation.delay_dating import DelayDating
 from glissando.estimation.held_readings import HeldReadings
@@ -145,8 +146,9 @@ class SlidingWindow:
         ahead = replace(state, pose=se3.retract(state.pose, lasts * state.velocity))
         if state.strain_rate is not None:
             ahead = replace(ahead, strain=state.strain + lasts * state.strain_rate)
-        self.nodes = self.nodes.joined(self._node(time, ahead, parameters))
-        self._noise = np.concatenate([self._noise, np.zeros((1, self.layout.size))])
+        self.nodes = self.nodes.followed_by(time, ahead, parameters)
+        if self._rng is not None:
+            self._noise = np.concatenate([self._noise, np.zeros((1, self.layout.size))])
         self._system.append()
 
     def copied(self) -> SlidingWindow:
@@ -170,7 +172,9 @@ class SlidingWindow:
         if self.dating is not None:
             self.dating.information.drop()
         self.before = float(self.nodes.time[0])
-        self.nodes, self._noise = self.nodes.take(slice(1, None)), self._noise[1:]
+        self.nodes = self.nodes.take(slice(1, None))
+        if self._rng is not None:
+            self._noise = self._noise[1:]
         self._first = max(0, self._first - 1)
 
     def _fixed(self, first: int) -> int:
@@ -306,15 +310,12 @@ class SlidingWindow:
         return nis
 
     def newest(self) -> tuple[State, Array]:
-        """Estimate (N,) of the newest time and its covariance (D, D)."""
-        root = self._newest_root
-        return self.nodes.newest[0], root.T @ root
-
-    @property
-    def _newest_root(self) -> Array:
-        """The root (D, D) of the newest time's covariance, in the axes of its estimate."""
+        """Estimate (N,) of the newest time and its covariance (D, D), in the axes of the state."""
         start, end = self.nodes.state.take(-1), self.nodes.newest[0]
-        return carried_rows(start, end, self._root) if has_rolled(start, end) else self._root
+        cov = self._root.T @ self._root
+        if has_rolled(start, end):
+            carry(start.slope_to(end)[None], cov[None])
+        return end, cov
 
     def newest_step(self) -> tuple[Array, Array]:
         """The step (D,) of the newest node from where it is linearised, and its covariance."""
@@ -322,10 +323,11 @@ class SlidingWindow:
 
     def newest_nodes(self) -> StateEstimate:
         """The newest time at the nodes (N,), each with its own covariance (N, 18, 18)."""
-        layout = self.layout
-        cov = window_kernels.node_covariances(self._newest_root, layout.nodes, layout.dof, DOF)
-        state = self.nodes.newest[0]
-        return StateEstimate(state.pose, state.strain, state.velocity, cov)
+        layout, (start, end) = self.layout, (self.nodes.state.take(-1), self.nodes.newest[0])
+        cov = window_kernels.node_covariances(self._root, layout.nodes, layout.dof, DOF)
+        if has_rolled(start, end):
+            carry(whole(start.slope_to(end)[:, None, :DOF, :DOF]), cov)
+        return StateEstimate(end.pose, end.strain, end.velocity, cov)
 
     def posterior(self) -> Posterior:
         """The window as a posterior, as an estimate of a recording is."""

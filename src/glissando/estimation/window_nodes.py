@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from glissando.geometry.se3 import Array
-from glissando.model.state import State, concatenate
+from glissando.model.state import State
 
 
 @dataclass(frozen=True)
@@ -37,14 +37,15 @@ class Nodes:
         parts = self.parameters[rows], self.step[rows], self.own[rows]
         return Nodes(self.time[rows], self.state.take(rows), *parts)
 
-    def joined(self, other: Nodes) -> Nodes:
-        """These nodes, then the others."""
+    def followed_by(self, time: float, state: State, parameters: Array) -> Nodes:
+        """These nodes, then one at a time with a state (N,) and sensor parameters (E,)."""
+        fields = zip(self.state.fields(), state.fields(), strict=True)
         return Nodes(
-            np.concatenate([self.time, other.time]),
-            concatenate(self.state, other.state),
-            np.concatenate([self.parameters, other.parameters]),
-            np.concatenate([self.step, other.step]),
-            np.concatenate([self.own, other.own]),
+            np.append(self.time, time),
+            State(*[np.concatenate([each, new[None]]) for each, new in fields]),
+            np.concatenate([self.parameters, parameters[None]]),
+            np.concatenate([self.step, np.zeros((1, self.step.shape[1]))]),
+            np.concatenate([self.own, np.zeros((1, *self.own.shape[1:]))]),
         )
 
     def stepped(self, step: Array) -> Nodes:

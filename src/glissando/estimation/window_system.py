@@ -101,7 +101,10 @@ class WindowSystem:
         self.intact, count = min(self.intact, first), len(self) - first
         blocks, vectors = self._sums
         begin, end, across = blocks[:, :count]
-        return NormalEquationsBuilder(self.layout, begin, end, across[:-1], *vectors[:, :count])
+        rhs_begin, rhs_end = vectors[:, :count]
+        return NormalEquationsBuilder(
+            self.layout, begin, end[:-1], across[:-1], rhs_begin, rhs_end[:-1]
+        )
 
     def solve(self, first: int, sums: NormalEquationsBuilder) -> Array:
         """Eliminate from slab `first` on, of which these are the sums; the solution (K, D).

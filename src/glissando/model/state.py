@@ -9,7 +9,7 @@ import numpy as np
 
 from glissando._kernels import rolls
 from glissando._kernels import state as kernels
-from glissando._kernels.arrays import items
+from glissando._kernels.arrays import items, unflatten
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
@@ -52,7 +52,11 @@ class State(Brief):
     def _others(self) -> list[Array]:
         """All fields but the pose, in the order of the degrees of freedom."""
         own = [self.strain, self.velocity]
-        return own + [each for each in (self.strain_rate, self.inertia) if each is not None]
+        if self.strain_rate is not None:
+            own.append(self.strain_rate)
+        if self.inertia is not None:
+            own.append(self.inertia)
+        return own
 
     def fields(self) -> list[Array]:
         """Pose, then all other fields, in the order of the degrees of freedom."""
@@ -65,16 +69,18 @@ class State(Brief):
         so that the curve is as it was; of first order in the step that changes nothing. Source:
         equation (35).
         """
-        lead = np.broadcast_shapes(self.strain.shape[:-1], step.shape[:-1])
+        lead = self.strain.shape[:-1]
+        if step.shape[:-1] != lead:
+            lead = np.broadcast_shapes(lead, step.shape[:-1])
         steps = items(step, lead, step.shape[-1])
-        pose = kernels.retract(items(self.pose, lead, 4, 4), steps).reshape(*lead, 4, 4)
-        moved = [
-            each + step[..., 6 * i : 6 * i + 6]
-            if each is self.inertia
-            else kernels.carry(items(each, lead, 6), steps, 6 * i).reshape(*lead, 6)
-            for i, each in enumerate(self._others(), start=1)
-        ]
-        return State(pose, *moved)
+        moved = [kernels.retract(items(self.pose, lead, 4, 4), steps)]
+        for i, each in enumerate(self._others(), start=1):
+            field = items(each, lead, 6)
+            if each is self.inertia:
+                moved.append(field + steps[:, 6 * i : 6 * i + 6])
+            else:
+                moved.append(kernels.carry(field, steps, 6 * i))
+        return State(*unflatten(lead, *moved))
 
     def difference(self, other: State) -> Array:
         """The step (…, dof) that takes `other` to this state: self = other.retract(step)."""
@@ -113,19 +119,15 @@ class State(Brief):
         Args:
             moved: Where a step leads from here, of the same shape.
         """
-        angle = moved.rolls_from(self)[..., None]
-        c, s, lead = np.cos(angle), np.sin(angle), angle.shape[:-1]
-        turned = [i for i, each in enumerate(self._others(), 1) if each is not self.inertia]
-        x = np.concatenate([[0, 3], *([6 * i, 6 * i + 3] for i in turned)])
-        out = np.broadcast_to(np.eye(self.dof), (*lead, self.dof, self.dof)).copy()
-        out[..., x, x] = out[..., x + 1, x + 1] = c
-        out[..., x, x + 1], out[..., x + 1, x] = s, -s
-        here, there = (np.concatenate(each._others(), axis=-1) for each in (self, moved))
-        at = x[2:] - 6
-        a, b = here[..., at], here[..., at + 1]
-        out[..., x[2:], 5] = there[..., at + 1] - c * b + s * a
-        out[..., x[2:] + 1, 5] = c * a + s * b - there[..., at]
-        return out
+        slopes: Array = rolls.slopes_between(*self._turned(), *moved._turned(), self.dof)
+        return slopes.reshape(*self.pose.shape[:-2], self.dof, self.dof)
+
+    def _turned(self) -> tuple[Array, Array]:
+        """Poses (M, 4, 4) and, side by side, the fields (M, ·) that turn with them, for kernels."""
+        lead = self.pose.shape[:-2]
+        fields = [each for each in self._others() if each is not self.inertia]
+        beside = np.concatenate(fields, axis=-1)
+        return items(self.pose, lead, 4, 4), items(beside, lead, 6 * len(fields))
 
     def take(self, index: Any) -> State:
         """The state at leading indices, as numpy would index an array of points."""
