@@ -13,7 +13,7 @@ class _Linearized:
     """A problem of one number, to read the damping off its step."""
 
     system = BlockTridiagonal(np.ones((1, 1, 1)), np.zeros((0, 1, 1)))
-    rhs = np.ones((1, 1))
+    rhs = scale = np.ones((1, 1))
 
 
 def damping_of(damping):

@@ -155,3 +155,26 @@ def test_the_bridge_widens_a_readings_covariance_only_between_nodes():
     np.testing.assert_allclose(on_node.terms.sqrt_info[0], 1e3 * np.eye(3), rtol=1e-12, atol=1e-9)
     root = np.linalg.inv(between_nodes.terms.sqrt_info[0])
     assert np.linalg.eigvalsh(root @ root.T - 1e-6 * np.eye(3))[0] > 0.0
+
+
+@pytest.mark.parametrize("memory", [np.inf, 0.1])
+def test_steps_are_damped_by_what_is_read_of_a_sensor_parameter_not_by_how_little_it_drifts(memory):
+    """By the whole diagonal, which ties it from time to time, any damping would hold a constant."""
+    readings = scattered(np.random.default_rng(68), 40, loss=Huber(1.0))
+    std, kept = np.full(6, 0.01), {"correlation_time": memory}
+    mount = SensorParameter("mount", "mount", (readings[0].name,), np.zeros(6), std, **kept)
+    located = locate(GRID, readings, [mount])
+    here = linearize(prior(), located, STATE, ABOUT, np.empty(system_shape(K, N * DOF + 6)))
+    read = np.zeros((K, 6))
+    for _, _, batch in measurement_factors(prior(), located, STATE, ABOUT):
+        if batch.extras is not None:
+            weights = batch.terms.robust_weights()[:, None]
+            white = (batch.terms.sqrt_info @ batch.extras) ** 2
+            first = np.minimum(batch.nodes[:, 0] // N, K - 2)
+            np.add.at(read, first, weights * np.sum(white[..., :6], axis=1))
+            np.add.at(read, first + 1, weights * np.sum(white[..., 6:], axis=1))
+    diagonal, own = np.einsum("kii->ki", here.system.diagonal), slice(N * DOF, None)
+    np.testing.assert_array_equal(here.scale[:, : N * DOF], diagonal[:, : N * DOF])
+    np.testing.assert_allclose(here.scale[:, own], np.maximum(read, std**-2.0 / K), rtol=1e-3)
+    if memory == np.inf:
+        assert np.all(diagonal[:, own] > 1e4 * std**-2.0)

@@ -15,7 +15,7 @@ from glissando.solver.linearize import NormalEquations
 from glissando.solver.step_search import WORTHWHILE
 
 RESCUES = (1e-11, 1e-9, 1e-7)
-"""Dampings, in parts of the diagonal, that give a system far from its end its digits back."""
+"""Dampings, in parts of the scale, that give a system far from its end its digits back."""
 _FIRST, _MOST = 1e-4, 1e8  # damping after a whole step is refused; the one at which to give up
 _FINER, _FINEST = 0.01, 1e-12  # what that first damping shrinks by when it helps; its least
 _MOST_RESCUES = 5  # times that they do; then it says what it lacks
@@ -63,7 +63,7 @@ class Step:
 
 
 class Damping:
-    """Marquardt's damping, in parts of the diagonal, which adapts to how steps turn out.
+    """Marquardt's damping, in parts of a scale, which adapts to how steps turn out.
 
     Args:
         determined: Whether the prior alone determines every number.
@@ -98,7 +98,7 @@ class Damping:
         return self._solved(here, workspace)
 
     def _solved(self, here: NormalEquations, workspace: Cholesky | None) -> Step:
-        extra = self._value * np.einsum("kii->ki", here.system.diagonal)
+        extra = self._value * here.scale
         system = here.system.add_to_diagonal(extra) if self._value else here.system
         cholesky = factor(system, workspace)
         step = cholesky.solve(here.rhs)

@@ -60,6 +60,24 @@ class NormalEquations:
         extra = self.located.parameters.process.size > 0
         return self.terms[: len(self.terms) - extra - len(self.located.streams)]
 
+    @property
+    def scale(self) -> Array:
+        """What steps are damped by in parts of: the diagonal (K, D) that a move alone meets.
+
+        A sensor parameter that hardly drifts is tied so firmly from time to time that by the whole
+        diagonal any damping would hold it. What ties it is left out, as it moves at all times.
+        """
+        scale = np.einsum("kii->ki", self.system.diagonal).copy()
+        process = self.located.parameters.process
+        if process.size:
+            decay = process.drift(self.located.parameters.values)[0]
+            tied = np.einsum("kee->ke", self.terms[-1].sqrt_info) ** 2
+            own = scale[:, -process.size :]
+            own -= tied
+            own[:-1] -= decay**2 * tied[1:]
+            np.maximum(own, process.std**-2.0 / len(own), out=own)
+        return scale
+
     def split(self, step: Array) -> tuple[Array, Array]:
         """A step (K, D) as that of the nodes (K, N, dof) and that of the parameters (K, E)."""
         k_count, n_count = self.located.grid.shape
