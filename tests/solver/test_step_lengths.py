@@ -1,5 +1,7 @@
 """An iteration ends where what is left to go is short, however slowly its steps shrink."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -97,3 +99,33 @@ def test_weights_that_go_to_and_fro_by_less_than_the_tolerance_end(length, turns
     for _ in range(2):
         steps.note(length, damped=False, renewed=True, turns_back=turns_back)
     assert steps.last == ends
+
+
+@pytest.mark.parametrize("rate", [0.5, 0.7, 0.85])
+def test_steps_that_shrink_unevenly_end_within_the_tolerance_of_where_they_lead(rate):
+    """Every other step is renewed and a third one longer than the one before, as weights move."""
+    pattern, steps = (1.0, 0.45, 0.9), StepLengths(0.3, kinks=False, weighted=True)
+    lengths = [80.0 * pattern[k % 3] * rate**k for k in range(200)]
+    for k, length in enumerate(lengths):
+        steps.note(length, damped=False, renewed=False)
+        steps.note(1.01 * length, damped=False, renewed=True)
+        if steps.short and steps.confirms(lengths[k + 1]):
+            break
+    left = sum(lengths[k + 1 :])
+    assert left < 0.3
+    assert left > 0.3 * rate**8  # and not long after
+
+
+def test_steps_that_hardly_shrink_any_more_end_nothing_however_long_the_first_ones_were():
+    steps = StepLengths(0.3, kinks=False, weighted=True)
+    lengths = (500.0, 40.0, 3.0, 0.25, 0.22, 0.2, 0.19, 0.18, 0.175, 0.17)
+    for length, following in pairwise(lengths):
+        steps.note(length, damped=False, renewed=False)
+        assert not (steps.short and steps.confirms(following))
+
+
+def test_damped_steps_say_nothing_of_how_whole_ones_shrink():
+    steps = StepLengths(0.3, kinks=False, weighted=True)
+    for length, damped in ((9.0, False), (6.0, False), (0.01, True), (0.29, False), (0.28, False)):
+        steps.note(length, damped=damped, renewed=False)
+    assert not steps.short
