@@ -1,9 +1,9 @@
 """What an online update costs with each prior, on the same nodes and readings, in processor time.
 
-And what a scan for contacts after an update costs.
+And what a scan for contacts after an update costs, while nothing touches and while something does.
 
 A simulated rod of the shipped robot's length is swayed by a force at its tip while a coil slides
-along it. The priors' smoothers take turns, update by update, so that a busy machine slows all.
+along it, and in the second half of the time pushed from the side. The priors' smoothers take turns, update by update, so that a busy machine slows all.
 With a recording, its readings and its robot, or the robot of a file, are taken instead; an update
 counts as it was in the fastest of some runs.
 Usage: update_cost.py [--nodes N ...] [--window K] [--updates U] [--seed S] [--json]
@@ -33,6 +33,7 @@ from glissando.simulation.motion import solve_motion
 
 RATE, COIL_RATE = 10.0, 40.0  # Hz, of time nodes and of readings
 FORCE, MOMENT = 0.1, 0.01  # N and N m, of the unknown wrench at the tip
+TOUCH, AT = 0.5, 0.5  # N from the side, and where in lengths
 NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])
 WEIGHT = [0.0, 0.0, -9.81]  # m/s²
 WARM = 10  # updates before the first that counts
@@ -47,7 +48,9 @@ def readings(rod, count, seed):
 
     def loads(now):
         force = FORCE * np.sin(2.0 * np.pi * now / np.array([5.0, 7.0, 9.0]) + phase)
-        return Loads(gravity=WEIGHT, wrenches=[Wrench(rod.length, force)])
+        touch = np.array([TOUCH * (2.0 * now > lasts), 0.0, 0.0])
+        wrenches = [Wrench(rod.length, force), Wrench(AT * rod.length, touch)]
+        return Loads(gravity=WEIGHT, wrenches=wrenches)
 
     motion = solve_motion(rod, [], loads, knots, knots[[0, -1]])
     at = np.arange(0.0, lasts, 1.0 / COIL_RATE)
@@ -86,7 +89,7 @@ def measured(nodes, window, updates, seed):
     coil = readings(rod, updates, seed)
     places = np.linspace(0.0, rod.length, nodes)
     every = {name: FixedLagSmoother(p, places, window=window) for name, p in priors(rod).items()}
-    taken = {name: [] for name in (*every, "contacts")}
+    taken = {name: [] for name in (*every, "contacts", "touched")}
     for k in range(updates):
         now = k / RATE
         new = coil.select((coil.time > now - 1.0 / RATE) & (coil.time <= now))
@@ -96,8 +99,8 @@ def measured(nodes, window, updates, seed):
             smoother.advance(now)
             taken[name].append(time.process_time() - began)
         began = time.process_time()
-        every["mechanical"].contacts()
-        taken["contacts"].append(time.process_time() - began)
+        touched = every["mechanical"].contacts().detected.any()
+        taken["touched" if touched else "contacts"].append(time.process_time() - began)
     out = {name: float(np.median(seconds[WARM:])) for name, seconds in taken.items()}
     out["dropped"] = sum(sum(each.values()) for s in every.values() for each in s.dropped.values())
     return {"nodes": nodes, "window": window, **out, "ratio": out["mechanical"] / out["separable"]}
@@ -158,7 +161,7 @@ def main():
     for row in rows:
         taken = (
             f"{name} {1e3 * row[name]:.2f} ms"
-            for name in ("mechanical", "separable", "white", "contacts")
+            for name in ("mechanical", "separable", "white", "contacts", "touched")
         )
         size = f"{row['nodes']:3d} nodes × {row['window']}"
         print(f"{size}: {', '.join(taken)}; mechanical over separable {row['ratio']:.2f}")
