@@ -89,10 +89,27 @@ def _settled(
 
     The least cost would have readings fall between those of other streams, where a motion that may
     bend freely contradicts them least, whatever their delay is. Where the motion tells nothing, or
-    steps do not settle, the solution stays, with delays as uncertain as stated.
+    steps do not settle, delays are as stated, and as uncertain.
     """
+    unseen = replace(located, shares=dict.fromkeys(located.shares, 0.0))
+    for known in (located, unseen) if any(located.shares.values()) else (unseen,):
+        settled = _end_of_steps(prior, known, motion, solution, options)
+        if settled is not None:
+            return settled
+    seen, cholesky = _known_by_motion(prior, unseen, motion, solution.state, solution)
+    return replace(solution, equations=seen, cholesky=cholesky)
+
+
+def _end_of_steps(
+    prior: Prior,
+    located: LocatedReadings,
+    motion: State,
+    solution: Solution,
+    options: SolverOptions,
+) -> Solution | None:
+    """Where such steps end; None where they do not settle."""
     state, at = solution.state, located
-    for _ in range(_STEPS if any(located.shares.values()) else 0):
+    for _ in range(_STEPS):
         seen, cholesky = _known_by_motion(prior, at, motion, state, solution)
         step = cholesky.solve(seen.rhs)
         length = float(np.sqrt(np.sum(step * seen.rhs)))  # grows before it shrinks
@@ -102,9 +119,7 @@ def _settled(
             return replace(settled, cost=seen.cost_of(seen), outcome=ended, last_step=length)
         of_nodes, of_parameters = seen.split(step)
         state, at = state.retract(of_nodes), at.moved(of_parameters)
-    unseen = replace(located, shares=dict.fromkeys(located.shares, 0.0))
-    seen, cholesky = _known_by_motion(prior, unseen, motion, solution.state, solution)
-    return replace(solution, equations=seen, cholesky=cholesky)
+    return None
 
 
 def _known_by_motion(
