@@ -27,9 +27,13 @@ from glissando.solver.gauss_newton import SolverOptions
 from glissando.solver.linearize import linearize
 from glissando.solver.located_readings import locate
 from glissando.solver.normal_equations import system_shape
+from mechanical_rod import GRID as ROD_GRID
+from mechanical_rod import mechanical, moving
 from oracles import dense
 from oracles.steps import between
 from oracles.transitions import full_bridge as bridge_into
+from separable_rod import GRID as RATED_GRID
+from separable_rod import rated, separable
 
 GRID = Grid([0.0, 0.1, 0.25, 0.4], [0.0, 0.1, 0.25])
 EXACT = SolverOptions(tolerance=1e-7, max_iterations=100)
@@ -265,3 +269,36 @@ def test_points_within_rounding_of_an_end_are_on_the_grid():
     posterior = along_arclength(0.0, ENDS)
     found = posterior.at([-1e-12, 0.4 + 1e-12], 0.0)
     np.testing.assert_array_equal(found.pose, posterior.state.pose[0])
+
+
+def of_every_prior():
+    """A prior of each kind, its grid and a state of it that bends and moves."""
+    rng = np.random.default_rng(31)
+    rod = mechanical()
+    rated_state = rated(rng, motion(rng, RATED_GRID, wander=0.05))
+    return [
+        pytest.param(prior(), GRID, motion(rng, GRID, wander=0.05), id="white noise"),
+        pytest.param(separable(), RATED_GRID, rated_state, id="separable"),
+        pytest.param(rod, ROD_GRID, moving(rng, rod), id="mechanical"),
+    ]
+
+
+@pytest.mark.parametrize(("any_prior", "grid", "state"), of_every_prior())
+def test_the_state_is_continuous_in_time_between_arclength_nodes_as_on_them(any_prior, grid, state):
+    """What an interval of arclength leaves is that of the time node which is near."""
+    near, node = 1e-8, float(grid.time[1])
+    places = np.concatenate([grid.arclength, 0.3 * grid.arclength[:-1] + 0.7 * grid.arclength[1:]])
+    for place in places:
+        before, here, after, inside = (
+            any_prior.interpolate(grid, state, state, *sort_points(grid, np.array([place]), when))
+            for when in np.array([[node - near], [node], [node + near], [node + 0.03]])
+        )
+        wide = np.sqrt(np.diagonal(inside.cov[0]))
+        for there in (before, after):
+            for field in ("pose", "strain", "velocity"):
+                values = (getattr(each.state, field) for each in (there, here))
+                np.testing.assert_allclose(*values, atol=1e-4)
+            std, std_here = (
+                np.sqrt(np.maximum(np.diagonal(each.cov[0]), 0.0)) for each in (there, here)
+            )
+            np.testing.assert_array_less(np.abs(std - std_here), 2e-3 * wide)

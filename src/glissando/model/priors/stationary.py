@@ -142,31 +142,31 @@ def interpolate_process(
     s, t = points.along, points.through
     k = t.lower if points.inside_time else t.nearest
     n = s.lower if points.inside_arclength else s.nearest
-    crossing = prior.crossing(grid, noise_state, k, s) if points.inside_arclength else None
+    m, by_time, both = k.size, np.zeros((2, 2)), 1 + points.inside_time
+    ends = np.concatenate([k, k + 1][:both])
+    every = np.tile(np.arange(m), both)
+    across = s.take(every)
+    crossing = prior.crossing(grid, noise_state, ends, across) if points.inside_arclength else None
     gain = None if crossing is None else crossing[0]
-    m, by_time = k.size, np.zeros((2, 2))
+    at, nodes, jacobian = _at_time_nodes(prior, grid, state, ends, n[every], across, gain)
     if not points.inside_time:
-        at, nodes, jacobian = _at_time_nodes(prior, grid, state, k, n, s, gain)
         at, jacobian = replace(at, strain_rate=None), jacobian[:, :DOF]
         if crossing is None:  # on nodes
             return Interpolation(at, nodes, jacobian, np.zeros((m, DOF, DOF)))
     else:
-        both, ends = np.tile(np.arange(m), 2), np.concatenate([k, k + 1])
-        gains = None if gain is None else gain[both]
-        places = ends, n[both], s.take(both), gains
-        ends_state, touched, inner = _at_time_nodes(prior, grid, state, *places)
         pose, strain, velocity, jacobian, by_time = kernels.between(
-            prior.time_scale, *as_fields(ends_state, (2 * m,)), whole(t.step), whole(t.offset),
-            whole(prior.rest.at(points.arclength)), whole(inner),
+            prior.time_scale, *as_fields(at, (2 * m,)), whole(t.step), whole(t.offset),
+            whole(prior.rest.at(points.arclength)), whole(jacobian),
         )  # fmt: skip
-        at, nodes = State(pose, strain, velocity), np.hstack([touched[:m], touched[m:]])
+        at, nodes = State(pose, strain, velocity), np.hstack([nodes[:m], nodes[m:]])
 
     def left() -> Array:
         parts, along = [(prior.time_scale, np.zeros((12, 12)))], np.zeros((12, 12))
         if points.inside_time:
             parts = prior.sections(grid, noise_state, k, n, s, points.inside_arclength)
         if crossing is not None:
-            along = crossing[1]
+            early, late = crossing[1][:m], crossing[1][-m:]
+            along = early + t.share[:, None, None] * (late - early)
         cov, through = np.zeros((m, DOF, DOF)), by_time
         for i, (scale, section) in enumerate(parts):
             if i:
