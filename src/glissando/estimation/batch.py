@@ -107,8 +107,9 @@ def estimate_in_passing(
     initial: State | None = None,
     initial_parameters: Sequence[tuple[SensorParameter, Array]] = (),
     dates: bool = True,
+    gate: float | None = None,
 ) -> Posterior:
-    """A posterior to be compared with others: no reading is left out, and nothing is warned of.
+    """A posterior on the way to another: nothing is checked, and nothing is warned of.
 
     Args:
         prior: What is believed before any reading.
@@ -120,8 +121,9 @@ def estimate_in_passing(
         initial_parameters: Sensor parameters with their values (K, size) to start from.
         dates: Whether delays are known by what streams without one show, see `delays`, which costs
             as much as two iterations; else they are as sure as Gauss–Newton steps have them.
+        gate: Chance below which the innovation of a reading refutes it; None uses them all.
     """
-    problem = _Problem(prior, grid, readings, sensor_parameters, options, dates=dates)
+    problem = _Problem(prior, grid, readings, sensor_parameters, options, gate=gate, dates=dates)
     return problem.placed((initial, initial_parameters))
 
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 
 import numpy as np
 
-from glissando.errors import EstimateWarning, UnobservableError, UnreachableError
-from glissando.estimation.batch import estimate
+from glissando.errors import UnobservableError, UnreachableError
+from glissando.estimation.batch import estimate_in_passing
+from glissando.estimation.given import require_base
 from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
+from glissando.estimation.outliers import CHANCE
 from glissando.estimation.reading_buffer import ReadingBuffer
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.solver.gauss_newton import SolverOptions
@@ -50,15 +51,15 @@ class GatedUpdate:
         window = self._window
         readings = self._buffer.streams(window.since(0))
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", EstimateWarning)
-                posterior = estimate(
-                    window.prior,
-                    window.grid(),
-                    readings,
-                    sensor_parameters=window.believed_parameters(),
-                    options=SolverOptions(max_iterations=30),
-                )
+            require_base(window.prior, readings)
+            posterior = estimate_in_passing(
+                window.prior,
+                window.grid(),
+                readings,
+                window.believed_parameters(),
+                SolverOptions(max_iterations=30),
+                gate=CHANCE,
+            )
         except UnobservableError:
             return False  # not yet: some other sensor will fix the base
         except UnreachableError:

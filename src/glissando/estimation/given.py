@@ -47,6 +47,11 @@ def require_batch(
                 f"The initial state has {initial.pose.shape[:2]} nodes and the grid {grid.shape}; "
                 f"give a state of this grid."
             )
+    require_base(prior, readings)
+
+
+def require_base(prior: Prior, readings: Sequence[Readings]) -> None:
+    """Raise UnobservableError where neither the prior nor a reading fixes the base."""
     if not prior.fixes_base and not any(r.fixes_base and len(r) for r in readings):
         raise UnobservableError(
             "Nothing fixes the base: the robot has no [base] and no pose, coil or position stream "
