@@ -57,9 +57,9 @@ def estimated(which, seed, stated=STD, shift=0.0, *, online=False):
 
 
 def heard(prior, grid, readings, late):
-    """The window at the end of a session that came in as it was measured."""
+    """The window at the end of a session that came in as it was measured, through a filter."""
     smoother = FixedLagSmoother(
-        prior, grid.arclength, window=8, sensor_parameters=[late], gate=None
+        prior, grid.arclength, window=1, sensor_parameters=[late], gate=None
     )
     before = -np.inf
     for now in grid.time:
@@ -205,3 +205,33 @@ def test_a_shape_that_bends_as_freely_as_it_may_dates_nothing(online):
         z.append((value[-1, 0] - delay) / std[-1])
     assert np.median(std) > 0.03
     assert np.sqrt(np.mean(np.square(z))) < 2.0
+
+
+def swaying(robot, time, place):
+    """The pose at a place of an arc that sways."""
+    bend = np.array([0.0, 0.0, 1.0, 1.5 * np.sin(1.9 * time), 0.0, 0.0])
+    return se3.exp(place * bend)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["tdcr466-segments", "tdcr466"])
+@pytest.mark.parametrize(
+    ("delay", "std"), [(0.06, 0.005), (-0.06, 0.005), (0.15, 0.01), (0.05, 0.05)]
+)
+def test_a_live_loop_with_a_delay_starts_goes_on_and_outlives_a_pause(name, delay, std):
+    """At first, and after a pause, delayed readings lie off the few nodes that there are."""
+    robot, rng = load_robot(name), np.random.default_rng(0)
+    late = SensorParameter("late", "time_offset", ("tip",), [0.0 if std > 0.02 else delay], [std])
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, sensor_parameters=[late])
+    for now in np.r_[np.arange(1.0, 2.0, 1 / 30), np.arange(42.0, 43.0, 1 / 30)]:
+        for stream, share, behind in (("middle", 0.5, 0.0), ("end", 1.0, 0.0), ("tip", 0.8, delay)):
+            place = share * robot.length
+            noise = se3.exp(np.sqrt(NOISE) * rng.standard_normal(6))
+            values = (swaying(robot, now - behind, place) @ noise)[None]
+            smoother.add(
+                PoseReadings(time=[now], arclength=[place], values=values, cov=NOISE, name=stream)
+            )
+        smoother.advance(now)
+    value, cov = smoother.posterior().parameter("late")
+    assert abs(value[-1, 0] - delay) < 4.0 * np.sqrt(cov[-1, 0, 0])
+    assert np.sqrt(cov[-1, 0, 0]) < 1.01 * std

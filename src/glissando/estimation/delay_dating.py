@@ -57,6 +57,7 @@ class DelayDating:
         self._columns = process.delay_columns
         self.information = SlopeInformation(delayed_streams(process), self._columns)
         self._slopes: list[Slopes] = []
+        self._reaches = False
 
     def copied(self) -> DelayDating:
         """The same, to go on with without a change to this one."""
@@ -64,17 +65,19 @@ class DelayDating:
         out.information = self.information.copied()
         return out
 
-    def see(self, nodes: Nodes, first: int, free: int) -> Nodes:
+    def see(self, nodes: Nodes, first: int, free: int, longest: float) -> Nodes:
         """Find the motion of a window.
 
         Args:
             nodes: Its nodes (K, N).
             first: From which one on readings are linearised.
             free: The first whose linearisation may move: what moves with a delay is found anew.
+            longest: How long a delay may be, s; nodes that reach back less date nothing.
 
         Returns:
             The nodes, with how they move with a delay.
         """
+        self._reaches = bool(nodes.time[-1] - nodes.time[0] >= longest)
         motion, other = self._motions(nodes)
         slope, noisy = (slope_in_time(m, nodes.time) for m in (motion, other))
         own = slope_in_time(nodes.state, nodes.time) - slope
@@ -101,7 +104,7 @@ class DelayDating:
         slopes = self._by_time[:, k, n][..., factors.dofs]
         by_time = np.einsum("mrcd,amcd->amr", factors.jacobian, slopes)
         self._slopes.append(Slopes(stream, factors, by_time))
-        extras[..., self._columns] = self.information.share(stream) * delays
+        extras[..., self._columns] = delays * (self._reaches and self.information.share(stream))
         return replace(factors, extras=extras.reshape(m, r, -1))
 
     def note(self, sums: NormalEquationsBuilder) -> None:

@@ -44,6 +44,8 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.block_tridiagonal import Marginals
 
+_DATED = 4  # time nodes at least, where a delay is estimated: readings have to settle in them
+_BEYOND = 1.5  # times as far back, for slopes at the oldest node
 _RESTARTS = 10  # of a window, after which it is asked whether most times were such
 
 
@@ -69,7 +71,8 @@ class FixedLagSmoother:
         Args:
             prior: What is believed before any reading.
             arclength: Arclength nodes (N,), metres.
-            window: Time nodes to keep; 1 is a filter.
+            window: Time nodes to keep; 1 is a filter. Where a delay is estimated they are four at
+                least, and as many as it takes to reach back as far as it may be.
             sensor_parameters: Applied where they are known, estimated where they are not.
             gate: Chance below which an innovation is refused; None refuses none.
 
@@ -83,10 +86,10 @@ class FixedLagSmoother:
         require_model(prior, self.arclength, sensor_parameters)
         self._window = SlidingWindow(prior, self.arclength, sensor_parameters)
         _meet(prior, self.arclength)
-        self.lag = window
         self._known = [p for p in sensor_parameters if p.known]
-        self._steps = WindowSteps(self._window, window, gate)
         self._late, others = delayed(sensor_parameters)
+        self.lag = window = max(window, _DATED) if self._late else window
+        self._steps = WindowSteps(self._window, window, gate)
         self._advances, self._warned = 0, False
         self._errors: ErrorPrior | None = None  # of the window's first node, for contacts
         self._undelayed: WindowSteps | None = None  # the motion by which delays are known
@@ -134,13 +137,25 @@ class FixedLagSmoother:
             raise OutsideGridError(f"The time to advance to is {time!r}; give seconds, a number.")
         time = float(time)
         with one_thread():
-            if self._undelayed is not None and self._shown:
-                self._undelayed.advance(time)
+            if self._undelayed is not None:
+                self._reach_back(self._undelayed)
+                if self._shown:
+                    self._undelayed.advance(time)
             self._steps.advance(time)
             self._warn_of_restarts()
             if self._steps.behind:
                 return self.at(self.arclength, time)
             return self._steps.newest()
+
+    def _reach_back(self, undelayed: WindowSteps) -> None:
+        """Keep nodes as far back as delayed readings may have been taken.
+
+        One that leaves the window before it is placed is lost, and with every one that does the
+        delay looks longer.
+        """
+        window = self._window
+        self._steps.reach = window.longest_delay if window.started else 0.0
+        undelayed.reach = self._steps.reach * _BEYOND
 
     def _warn_of_restarts(self) -> None:
         """Say once that belief fades from update to update, as with times in another unit."""

@@ -47,6 +47,9 @@ from glissando.solver.measurement_factors import measurement_factors
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder, kernel_arguments
 from glissando.solver.outcome import Outcome
 
+_FAR = 3.0  # standard deviations by which a delay may be longer than it is estimated
+_LOST = 6.0  # stated standard deviations that no delay is off
+
 
 class SlidingWindow:
     """Time nodes of a prior on `arclength` (N,), solved together with `sensor_parameters`.
@@ -97,11 +100,30 @@ class SlidingWindow:
         self._noise = np.zeros((1, size))
         self._root = np.zeros((0, 0))
 
+    @property
+    def lost_delay(self) -> bool:
+        """Whether a delay went further than what was stated of it allows, as steps in error do."""
+        columns, process = self._process.delay_columns, self._process
+        off = np.abs(self.nodes.newest[1] - process.mean) > _LOST * process.std
+        return bool(off[columns].any())
+
     def settle(self) -> None:
         """Note what is known of the sensor parameters, to go on with where a window begins anew."""
-        if self._process.size:
+        if self.lost_delay:
+            self._settled = 0.0, self._process.mean, np.diag(self._process.std**2)
+        elif self._process.size:
             own = self._root[:, self.nodes.state.numbers :]
             self._settled = float(self.nodes.time[-1]), self.nodes.newest[1], own.T @ own
+
+    @property
+    def longest_delay(self) -> float:
+        """How far, s, a reading may be from its stamp by delays that are estimated."""
+        columns, own = self._process.delay_columns, slice(self.nodes.state.numbers, None)
+        if not columns or not self._root.size:
+            values, std = self._process.mean, self._process.std
+        else:
+            values, std = self.nodes.newest[1], np.sqrt(np.sum(self._root[:, own] ** 2, axis=0))
+        return float(np.max((np.abs(values) + _FAR * std)[columns], initial=0.0))
 
     def _carried(self, time: float) -> tuple[Array, Array]:
         """The sensor parameters and their covariance at a time, by what was known when settled.
@@ -235,7 +257,8 @@ class SlidingWindow:
     def _linearized(self, first: int, readings: HeldReadings) -> NormalEquationsBuilder:
         """Sum the factors of the intervals from `first` on. Source: equation (19)."""
         if self.dating is not None:
-            self.nodes = self.dating.see(self.nodes, first, self._fixed(first))
+            free, longest = self._fixed(first), self.longest_delay
+            self.nodes = self.dating.see(self.nodes, first, free, longest)
         nodes, grid = self.nodes.take(slice(first, None)), self.grid(first)
         builder = self._system.builder(first)
         self._terms, self._first, self._held = [], first, readings

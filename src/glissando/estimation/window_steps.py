@@ -31,6 +31,7 @@ from glissando.model.sensors.readings import Readings
 _MERGED = 0.01  # of the longest interval: a node as close to the newest one would be singular
 _BACK = 2.0  # s before the oldest node: a clock that was set, not a reading that came late
 _ROUNDED = 5e-4  # of the least step, by which times round: less than the prior allows it
+_MOST = 50  # nodes of a window that reaches back further than its lag
 _CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
 
 
@@ -39,7 +40,8 @@ class WindowSteps:
 
     Attributes:
         window: The window.
-        lag: How many time nodes it keeps.
+        lag: How many time nodes it keeps, or more where they are to reach back further.
+        reach: How far back they do at least, s.
         gate: What judges readings.
         buffer: The readings of the window, and those still to come.
         update: Solutions of the window with new readings.
@@ -48,7 +50,7 @@ class WindowSteps:
     """
 
     def __init__(self, window: SlidingWindow, lag: int, gate: float | None) -> None:
-        self.window, self.lag = window, lag
+        self.window, self.lag, self.reach = window, lag, 0.0
         self.gate = InnovationGate(gate)
         self.buffer = ReadingBuffer(float(window.arclength[-1]), self.gate, window.takes_as_row)
         self.update = GatedUpdate(window, self.buffer, self.gate)
@@ -145,6 +147,9 @@ class WindowSteps:
                 self._started = self.update.start(fresh)  # all there is, as in a batch
             try:
                 self._solve(self.update.first_changed(earliest), fresh)  # (19) to (21), gated
+                if self.window.lost_delay:
+                    self.window.settle()  # as it was stated
+                    raise LostError
             except (np.linalg.LinAlgError, UnobservableError, LostError) as error:
                 with self._explained():
                     if not self._started:
@@ -232,12 +237,18 @@ class WindowSteps:
         return self.buffer.arrive(float(time[0]), float(time[-1]))
 
     def _marginalize(self) -> None:
-        """Let nodes and readings go that are older than the lag."""
-        while len(self.window.nodes) > self.lag:
+        """Let nodes and readings go that are older than the lag and beyond reach."""
+        while len(self.window.nodes) > self.lag and not self._is_in_reach:
             self.window.drop()
         if not self.resting:
             self._oldest = float(self.window.nodes.time[0])
         self.buffer.forget(min(self._oldest, self.window.since(0)))
+
+    @property
+    def _is_in_reach(self) -> bool:
+        """Whether the oldest node is needed to reach back."""
+        time = self.window.nodes.time
+        return bool(time[-1] - time[1] < self.reach) and time.size <= _MOST
 
     def _restart(self, since: float, fresh: Counter[str]) -> None:
         """Begin again from rest, where states have become absurd or say nothing more."""
