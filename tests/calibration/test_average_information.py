@@ -1,13 +1,15 @@
 """What readings tell of parameters: slopes of their evidence, and information."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_learn_weight import LINEAR, MASS, hanging, hanging_robot
 
 from glissando import GlissandoError
 from glissando.calibration.robot import average_information
-from glissando.calibration.robot.average_information import NUDGE, Change, EvidenceAt
+from glissando.calibration.robot.average_information import FINE, NUDGE, Change, EvidenceAt
 from glissando.calibration.robot.hyperparameters import expanded, learnable, moved
 from glissando.calibration.robot.objective import Objective
 from glissando.evaluation.prior_predictive import PriorPredictive
@@ -64,6 +66,12 @@ class Drawn:
         return []
 
 
+def both_nudged(document, numbers):
+    """The robot file with each number moved a little, and much less to both sides."""
+    steps, ways = (NUDGE, FINE, -FINE), np.eye(len(numbers))
+    return [tuple(moved(document, numbers, h * x) for h in steps) for x in ways]
+
+
 @pytest.mark.slow
 def test_slopes_are_zero_on_average_and_information_is_their_mean_product():
     document = drawn_robot()
@@ -71,7 +79,7 @@ def test_slopes_are_zero_on_average_and_information_is_their_mean_product():
     words = ("pose noise, linear", "2, bending", "time scale", "spread linear", "correlation")
     every = learnable(document, ["pose"])
     numbers = [next(p for p in every if word in p.label) for word in words]
-    nudged = [moved(document, numbers, x) for x in NUDGE * np.eye(len(numbers))]
+    nudged = both_nudged(document, numbers)
     blank = Drawn()
     world = PriorPredictive(robot, blank.grid(robot), blank.layout(robot))
     slopes, information = [], []
@@ -80,7 +88,7 @@ def test_slopes_are_zero_on_average_and_information_is_their_mean_product():
         goal = Objective(cases, calibrate=False)
         centre = goal.score(document, goal.start())
         evidence = EvidenceAt(cases, document, centre.starts)
-        changes = [evidence.change(each, NUDGE) for each in nudged]
+        changes = [evidence.change(*each) for each in nudged]
         slope, curvature = average_information.slopes(changes, 1)
         slopes.append(slope)
         information.append(curvature)
@@ -100,9 +108,38 @@ def test_a_scale_is_found_in_one_step(off):
     count, wide = 50, np.exp(off)
     misfit, width = -0.5 * count / wide, 0.5 * count
     changes = np.full(count, np.sqrt(0.5 / wide))
-    one = Change(misfit, width, changes, changes)
+    one = Change(misfit, width, 0.0, changes, changes)
     slope, information = average_information.slopes([one, None], count)
     assert -slope[0] / information[0, 0] == pytest.approx(-off, abs=abs(off) ** 3 / 20.0)
     assert slope[1] == 0.0
     assert not information[1].any()
     assert not information[:, 1].any()
+
+
+@pytest.mark.slow
+def test_slopes_by_a_weight_and_a_rest_shape_are_those_of_the_evidence():
+    """They move what is expected by thousands of deviations, all but a few of which states take."""
+    document = hanging_robot(MASS, 1.3 * LINEAR)
+    document["rest_strain"] = [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]
+    document = expanded(document)
+    words = ("mass of the tip", "mass per length", "rest", "time scale")
+    numbers = [p for p in learnable(document, []) if any(word in p.label for word in words)]
+    hung = hanging(2)
+    case = SimpleNamespace(
+        grid=hung.grid,
+        readings=lambda robot: hung.readings(robot) + hung.truth(robot),
+        truth=lambda robot: [],
+    )
+    goal = Objective([case], calibrate=False)
+    centre = goal.score(document, goal.start())
+    evidence = EvidenceAt([case], document, centre.starts)
+    changes = [evidence.change(*each) for each in both_nudged(document, numbers)]
+    slope, information = average_information.slopes(changes, 1)
+    assert max(change.shift for change in changes) > 1e3
+    for number, found, known in zip(numbers, slope, np.diag(information), strict=True):
+        scores = [goal.score(moved(document, [number], [h]), centre).score for h in (0.02, -0.02)]
+        expected = -(scores[0].value - scores[1].value) * scores[0].samples / 0.04
+        bend = 2.0 * centre.score.value - scores[0].value - scores[1].value
+        assert found == pytest.approx(expected, rel=0.1, abs=0.3 * np.sqrt(known)), number.label
+        if "time" not in number.label:
+            assert known == pytest.approx(bend * scores[0].samples / 4e-4, rel=0.2), number.label

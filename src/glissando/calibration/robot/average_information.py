@@ -12,7 +12,7 @@ covariances, and what the states explain taken off, mᵀR⁻¹m + ½ uᵀR⁻¹u
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,24 +33,28 @@ from glissando.solver.linearize import NormalEquations, linearize
 from glissando.solver.located_readings import LocatedReadings, locate
 from glissando.solver.normal_equations import system_shape
 
-NUDGE = 1e-3
-"""Of a logarithm: at a held estimate nothing but first differences is rounded."""
+NUDGE, FINE = 1e-3, 1e-5
+"""Of a logarithm: at a held estimate nothing but first differences is rounded. The fine one, to
+both sides, is for what moves expected values by many deviations, nearly all of which the states
+explain: what is of second order in it, they explain as well."""
+_STILL = 0.01  # deviations over all residuals by which a nudge may move their means
 _MOST = 1e4  # how far observed and expected information may be apart
 
 
-@dataclass(frozen=True)
-class Change:
+class Change(NamedTuple):
     """How a parameter changes minus the evidence, by one unit of it.
 
     Attributes:
         misfit: Slope of ½ eᵀR⁻¹e.
         width: Slope of ½ (log det A + log det R).
+        shift: By how many standard deviations, over all residuals, it moves their means.
         left: Changes whose products with `right` of another parameter are information.
         right: The same, with what the states explain solved for.
     """
 
     misfit: float
     width: float
+    shift: float
     left: Array
     right: Array
 
@@ -60,7 +64,7 @@ def slopes(changes: Sequence[Change | None], count: int) -> tuple[Array, Array]:
 
     Of a covariance that is scaled by exp(z) too much, the average information differs from the
     curvature by exp(∓z) and the expected one by 1; their geometric mean foretells the whole way
-    back up to z³ / 24.
+    back up to z³ / 24. Of what moves means both are the same.
 
     Args:
         changes: What each parameter changes; None where there is no estimate.
@@ -74,7 +78,7 @@ def slopes(changes: Sequence[Change | None], count: int) -> tuple[Array, Array]:
     for i, change in enumerate(changes):
         if change is not None:
             slope[i] = change.misfit + change.width
-            both = change.width * change.misfit < 0.0
+            both = change.width * change.misfit < 0.0 and NUDGE * change.shift < _STILL
             apart = abs(change.width / change.misfit) if both else 1.0
             scale[i] = np.clip(apart, 1.0 / _MOST, _MOST) ** 0.25
             information[i] = [0.0 if c is None else change.left @ c.right for c in changes]
@@ -99,13 +103,27 @@ class EvidenceAt:
         robot = _robot(document)
         self._cases = [_Linearized(*each, robot) for each in zip(cases, starts, strict=True)]
 
-    def change(self, document: Document, nudge: float) -> Change:
+    def change(self, nudged: Document, *finely: Document) -> Change:
+        """What changes from there by one unit of a parameter.
+
+        Args:
+            nudged: The robot file with the parameter moved by `NUDGE`.
+            finely: The same, moved by `FINE` and back by as much, which are taken where it moves
+                means by much.
+        """
+        change = self._change(nudged, NUDGE)
+        if NUDGE * change.shift < _STILL:
+            return change
+        forth, back = map(self._change, finely, (FINE, -FINE))
+        return Change(*(0.5 * (a + b) for a, b in zip(forth, back, strict=True)))
+
+    def _change(self, document: Document, nudge: float) -> Change:
         """What changes from there to another robot file, by one unit of its `nudge`."""
         robot = _robot(document)
         parts = [case.change(robot, nudge) for case in self._cases]
         misfit, width = (sum(getattr(part, n) for part in parts) for n in ("misfit", "width"))
         left, right = (np.concatenate([getattr(p, n) for p in parts]) for n in ("left", "right"))
-        return Change(misfit, width, left, right)
+        return Change(misfit, width, float(np.hypot.reduce([p.shift for p in parts])), left, right)
 
 
 class _Linearized:
@@ -140,9 +158,9 @@ class _Linearized:
         trace = np.vdot(there.system.diagonal, know.cov)
         trace += 2.0 * np.vdot(there.system.lower, know.cross.swapaxes(1, 2))
         further = np.vdot(self._left_to_go, there.rhs - self._rhs)
-        misfit = float(_cost(there) - further - self._misfit) / nudge
         width = float(0.5 * (there.log_det_noise + trace) - self._width) / nudge
         means, held = _shifted(self._terms, there.terms) / nudge, self._rhs
+        misfit = float(_cost(there) - further - self._misfit) / nudge
         if means.any():
             held = linearize(*problem, self._terms).rhs
         covs = _widened(self._terms, there.terms) / nudge
@@ -154,7 +172,8 @@ class _Linearized:
             of_states = of_states / nudge
             left += [share * own, -share * of_states.ravel()]
             right += [share * own, share * self._cholesky.solve(of_states).ravel()]
-        return Change(misfit, width, np.concatenate(left), np.concatenate(right))
+        shift = float(np.linalg.norm(means))
+        return Change(misfit, width, shift, np.concatenate(left), np.concatenate(right))
 
 
 def _robot(document: Document) -> Robot:

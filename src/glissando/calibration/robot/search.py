@@ -129,11 +129,13 @@ class Search:
 
     def _by_evidence(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
         """Slope (P,) and curvature (P, P) by what the numbers change of the evidence."""
-        self._beside, nudge = self.value, average_information.NUDGE
-        here, *nudged = self._moved(nudge)
+        self._beside = self.value
+        far, fine = average_information.NUDGE, average_information.FINE
+        here, *_ = self._moved(0.0)
+        nudged = list(zip(*(self._moved(h)[1:] for h in (far, fine, -fine)), strict=True))
         parts = [nudged[i :: self.processes] for i in range(min(self.processes, len(nudged)))]
         changes: list[Change | None] = [None] * len(nudged)
-        call = partial(changes_beside, self.centre, here, nudge=nudge)
+        call = partial(changes_beside, self.centre, here)
         for i, part in enumerate(self.pool.map(call, parts)):
             changes[i :: self.processes] = part
             tell((i + 1) / (len(parts) + 1))

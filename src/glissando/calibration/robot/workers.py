@@ -66,16 +66,22 @@ def score_beside(about: Centre, document: Document) -> Score | None:
 
 
 def changes_beside(
-    about: Centre, document: Document, beside: Sequence[Document], nudge: float
+    about: Centre, document: Document, beside: Sequence[tuple[Document, ...]]
 ) -> list[Change | None]:
-    """What changes from one robot file to others, in a worker; None where there is no estimate."""
+    """What changes from one robot file to others, in a worker; None where there is no estimate.
+
+    Args:
+        about: What is known of the file.
+        document: The file.
+        beside: It with one parameter nudged, as `EvidenceAt.change` takes it, each.
+    """
     assert _objective is not None
     changes: list[Change | None] = [None] * len(beside)
     with suppress(GlissandoError, np.linalg.LinAlgError):
         evidence = EvidenceAt(_objective.cases, document, about.starts)
         for i, each in enumerate(beside):
             with suppress(GlissandoError, np.linalg.LinAlgError):
-                change = evidence.change(each, nudge)
+                change = evidence.change(*each)
                 if np.isfinite([change.misfit, change.width]).all():
                     changes[i] = change
     return changes
