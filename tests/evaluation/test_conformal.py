@@ -136,8 +136,17 @@ def test_the_miss_rate_keeps_its_bound_at_every_moment_for_any_data(rng, level, 
         score = size * rng.standard_normal() ** 2
         if rng.random() < spite:
             score = sets.threshold * 1.01 if np.isfinite(sets.threshold) else np.nan
-        sets.update(rng.choice([score, np.inf, np.nan], p=[0.9, 0.05, 0.05]))
+        wild = [score, np.inf, -np.inf, np.nan]
+        sets.update(rng.choice(wild, p=[0.85, 0.05, 0.05, 0.05]))
         assert abs(sets.miss_rate - (1.0 - level)) <= sets.bound + 1e-12
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95])
+def test_a_set_that_holds_nothing_misses_even_the_lowest_score(level):
+    sets = AdaptiveSet(level)
+    for _ in range(400):
+        sets.update(-np.inf if sets.threshold == -np.inf else 1.0)
+    assert abs(sets.miss_rate - (1.0 - level)) <= sets.bound + 1e-12
 
 
 def test_a_set_that_does_not_adapt_breaks_the_same_bound():

@@ -131,9 +131,12 @@ class AdaptiveSet:
         return self._ordered[rank - 1] if rank <= len(self._ordered) else math.inf
 
     def update(self, score: float) -> bool:
-        """Take the next score; returns whether its set missed it. NaN is a miss of finite sets."""
+        """Take the next score; returns whether its set missed it.
+
+        NaN is a miss of finite sets, and every score one of a set that holds nothing.
+        """
         threshold = self.threshold
-        missed = not (threshold == math.inf or score <= threshold)
+        missed = threshold == -math.inf or not (threshold == math.inf or score <= threshold)
         self.count += 1
         self.misses += missed
         self._miss_level += self.rate * (1.0 - self.level - missed)
