@@ -90,6 +90,35 @@ def test_a_robot_is_learned_from_imported_servos_and_foretells_other_moves(tmp_p
     assert learned.play == pytest.approx(truth.tendons.play, rel=0.4)
 
 
+@pytest.mark.slow
+def test_tips_in_another_unit_are_refused_and_tendons_that_pull_elsewhere_are_named(
+    tmp_path, start, capsys
+):
+    rng, pulled = np.random.default_rng(0), moves(np.random.default_rng(0), 90)
+    tip = servo_file(tmp_path / "metres.csv", pulled, rng)
+    mixed = pulled * [1.0, -1.0, 1.0, -1.0, 1.0, -1.0]
+    for name, table in (
+        ("metres", np.column_stack([1e3 * pulled, tip])),
+        ("mixed", np.column_stack([1e3 * mixed, 1e3 * tip])),
+    ):
+        rows = np.column_stack([1.7e9 + 0.5 * np.arange(len(tip)), table])
+        head = (tmp_path / "metres.csv").read_text().splitlines()[0]
+        file = tmp_path / f"{name}-servo.csv"
+        np.savetxt(file, rows, "%.6f", ",", header=head, comments="")
+        record = ["import", str(file), "--robot", start, "--arclength", "tip=0.2", "--truth", "tip"]
+        assert main([*record, "--out", str(tmp_path / name)]) == 0
+        capsys.readouterr()
+        out = tmp_path / f"{name}.toml"
+        status = main(["learn", str(tmp_path / name), "--robot", start, "--out", str(out)])
+        said = capsys.readouterr().err
+        if name == "metres":
+            assert status == 2
+            assert "The tip moves by" in said
+            assert not out.exists()
+        else:
+            assert "of how far the tip moves: are tendons in the order and of the sign" in said
+
+
 def test_what_predict_cannot_use_is_one_sentence(tmp_path, start, capsys):
     commands = tmp_path / "commands.csv"
 

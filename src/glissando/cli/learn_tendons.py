@@ -11,7 +11,12 @@ from typing import Any
 import numpy as np
 
 from glissando.calibration.robot.hyperparameters import Document
-from glissando.calibration.robot.learn_tendons import LearnedTendons, TendonData, learn_tendons
+from glissando.calibration.robot.learn_tendons import (
+    LearnedTendons,
+    TendonData,
+    learn_tendons,
+    spread,
+)
 from glissando.calibration.robot.tendon_numbers import TIP
 from glissando.cli.outputs import write_robot
 from glissando.errors import RecordingError
@@ -21,6 +26,7 @@ from glissando.io.recording import Recording
 from glissando.io.robot_file import load_robot
 from glissando.model.robot import Robot
 
+_POOR = 0.25  # of how far the tip moves: errors that large are no robot of this file's kind
 _UNHEEDED = ("use", "truth", "hold_out", "only", "calibrate", "joint", "alike", "steps")
 
 
@@ -58,6 +64,12 @@ def learn_from_tendons(
     learned = learn_tendons(robot, TendonData.of(displacement, tip), _say)
     write_robot(_document(document, learned.robot), options.robot, options.out)
     report = _report(learned, len(tip), str(options.out))
+    if learned.held_out_rmse > _POOR * spread(tip):
+        _say(
+            f"! Rows left out err by {100 * learned.held_out_rmse / spread(tip):.0f} % of how far "
+            f"the tip moves: are tendons in the order and of the sign that {options.robot} says, "
+            f"positive when pulled, and angles in radians?"
+        )
     if options.json:
         print(json.dumps(report))
         return 0

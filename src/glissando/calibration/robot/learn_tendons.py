@@ -28,6 +28,7 @@ _MOST = 700  # rows that numbers are learned from
 _STEPS = 25
 _ENOUGH = 0.5  # fall of the cost at which to stop
 _GIVE_UP = 1e6  # damping
+_FAR = 30.0  # times as far as foretold, or as little: the tip is in another unit
 _COVERED, _ELLIPSOID = 0.97, 0.95  # motions to come combine more than those left out do
 
 Watch = Callable[[str], None]
@@ -90,9 +91,11 @@ def learn_tendons(robot: Robot, data: TendonData, watch: Watch | None = None) ->
         watch: Called with a sentence after each step.
 
     Raises:
-        RecordingError: The recording has another number of tendons.
+        RecordingError: The recording has another number of tendons, or the tip moves as it would
+            in another unit.
     """
     model = _turned(TendonModel.of(robot, data.displacement.shape[1]), data)
+    _require_unit(model, data)
     say = watch or (lambda text: None)
     every = np.ones(len(data.tip), dtype=bool)
     numbers = _fit(model, model.start(), data, every, "from all rows", say)
@@ -110,6 +113,22 @@ def learn_tendons(robot: Robot, data: TendonData, watch: Watch | None = None) ->
 def _errors(model: TendonModel, numbers: Numbers, data: TendonData) -> Array:
     """Measured less predicted positions (M, 3), tracker's frame."""
     return data.tip - model.tip(numbers, model.reached(numbers, data.displacement))[0]
+
+
+def spread(positions: Array) -> float:
+    """RMS distance (m) of positions (M, 3) from their mean."""
+    return float(np.sqrt(np.mean(np.sum((positions - positions.mean(axis=0)) ** 2, axis=1))))
+
+
+def _require_unit(model: TendonModel, data: TendonData) -> None:
+    """Raise RecordingError where the tip moves a thousandth of what is foretold, or a thousand."""
+    moved, foretold = spread(data.tip), spread(data.tip - _errors(model, model.start(), data))
+    if not foretold / _FAR < moved < foretold * _FAR:
+        raise RecordingError(
+            f"The tip moves by {1e3 * moved:.3g} mm (RMS), where these displacements move a robot of "
+            f"this file by {1e3 * foretold:.3g} mm; give positions and displacements in the units "
+            f"that the recording says, and stiffness in N m²."
+        )
 
 
 def _turned(model: TendonModel, data: TendonData) -> TendonModel:
