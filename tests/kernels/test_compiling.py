@@ -96,6 +96,7 @@ CODE = """
 from glissando._kernels import jit, white_noise
 folder = jit._dispatchers()
 jit._compile_once([white_noise.write_rows], folder)
+print(len(white_noise.write_rows.compiled.overloads))
 """
 
 
@@ -107,7 +108,8 @@ def test_what_is_compiled_is_always_the_same(tmp_path):
         environment = {**os.environ, "GLISSANDO_CACHE": str(tmp_path / seed)}
         environment |= {"PYTHONHASHSEED": seed}
         command = [sys.executable, "-c", CODE]
-        subprocess.run(command, env=environment, check=True, capture_output=True)
+        run = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+        assert run.stdout == "0\n"  # it is loaded when it is called, as by a process that finds it
         (file,) = (tmp_path / seed).rglob("*.nbc")
         codes.append(re.sub(rb" at 0x[0-9a-f]+", b"", file.read_bytes()))  # in comments on types
     assert len(codes[0]) > 10_000

@@ -59,6 +59,11 @@ class Kernel:
 
         return types.Dispatcher(self.compiled)
 
+    @property
+    def file(self) -> str:
+        """What numba's files of it begin with."""
+        return f"{self.module}.{self.function.__name__}"
+
     def work(self) -> int:
         """How much there is to compile: bytes of code of it and of all that it calls."""
         calls, seen = [self], {self.name}
@@ -170,6 +175,8 @@ def _compile_once(kernels: list[Kernel], folder: Path) -> None:
 
     Processes of their own compile, what takes longest first, and all others load, so that every
     process runs the same code; numba's varies in the last digit with the order of sets of words.
+    Every process loads a kernel when it is first called: what several have in common is that of
+    the first one loaded.
     """
     if not _missing(kernels, folder):
         return
@@ -183,12 +190,18 @@ def _compile_once(kernels: list[Kernel], folder: Path) -> None:
                 for process in [_compiling(claims, missing, folder) for _ in range(count)]:
                     if process is not None:
                         process.wait()
-            for kernel in kernels:  # from the cache, or here if a process could not
-                kernel.compile()
+            for kernel in kernels:  # what no process could
+                if kernel.file not in _on_disk(folder):
+                    kernel.compile()
             with suppress(OSError), (folder / "compiled").open("a", encoding="utf-8") as file:
                 file.write("".join(f"{name}\n" for name in missing))
     finally:
         over.set()
+
+
+def _on_disk(folder: Path) -> set[str]:
+    """What the files of kernels begin with that are compiled."""
+    return {path.name.partition("-")[0] for path in folder.rglob("*.nbi")}
 
 
 def _missing(kernels: list[Kernel], folder: Path) -> list[str]:
@@ -225,12 +238,12 @@ def _compiling(claims: str, names: list[str], folder: Path) -> subprocess.Popen[
 
 def _say(kernels: list[Kernel], folder: Path, over: threading.Event) -> None:
     """Say what is being compiled, and how much of it is done, until it is over."""
-    work = {f"{kernel.module}.{kernel.function.__name__}": kernel.work() for kernel in kernels}
+    work = {kernel.file: kernel.work() for kernel in kernels}
     began, wait = time.monotonic(), _NOTICE
     while not over.wait(wait):
         wait, elapsed = _AGAIN, time.monotonic() - began
-        compiled = {path.name.partition("-")[0] for path in folder.rglob("*.nbi")}
-        share = min(sum(work[name] for name in compiled & work.keys()) / sum(work.values()), 0.99)
+        done = sum(work[file] for file in _on_disk(folder) & work.keys())
+        share = min(done / sum(work.values()), 0.99)
         what = f"compiling its inner loops, once, into {folder}"
         if share > 0.0:
             what += f"; {100 * share:.0f} % done, about {elapsed * (1 / share - 1):.0f} s left"
