@@ -10,13 +10,14 @@ from glissando import (
     Huber,
     NotConvergedWarning,
     PoseReadings,
+    SensorParameter,
     SolverOptions,
     State,
     estimate,
     load_robot,
     uniform_grid,
 )
-from glissando.errors import UnobservableError
+from glissando.errors import EstimateWarning, SensorError, UnobservableError
 from glissando.geometry import se3
 from scenes import LENGTH, arc, sliding_scene
 
@@ -263,3 +264,18 @@ def test_a_warm_start_needs_fewer_iterations():
         warm = estimate(prior, grid, readings, initial=cold.state)
     assert warm.solve.iterations < cold.solve.iterations
     assert isinstance(warm.state, State)
+
+
+def test_readings_that_are_given_twice_are_refused_as_they_would_count_twice():
+    prior, grid, readings = sliding_scene()
+    again = dataclasses.replace(readings[0], name="again")
+    for twice in (readings[0], again):
+        with pytest.raises(SensorError, match="the same readings, which would count twice"):
+            estimate(prior, grid, [*readings, twice])
+
+
+def test_sensor_parameters_of_streams_that_nobody_read_are_named():
+    prior, grid, readings = sliding_scene()
+    stray = SensorParameter("late", "time_offset", ("coyl",), [0.0], [0.01])
+    with pytest.warns(EstimateWarning, match="of streams coyl, and the readings of"):
+        estimate(prior, grid, readings, sensor_parameters=[stray])

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Sequence
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from glissando.errors import GlissandoError, OutsideGridError, SensorError, UnobservableError
+from glissando.errors import (
+    EstimateWarning,
+    GlissandoError,
+    OutsideGridError,
+    SensorError,
+    UnobservableError,
+)
 from glissando.geometry.se3 import Array
 from glissando.model.grid import SAME, Grid
 from glissando.model.mechanics import Mechanics, implausible
@@ -35,6 +43,8 @@ def require_batch(
     _require_kind(grid, Grid, "grid", "give robot.grid(first, last) or a Grid")
     require_model(prior, grid.arclength, sensor_parameters)
     require_streams(readings)
+    _require_once(readings)
+    _warn_of_strangers(readings, sensor_parameters)
     require_options(options)
     for parameter in sensor_parameters:
         for r in readings:
@@ -48,6 +58,34 @@ def require_batch(
                 f"give a state of this grid."
             )
     require_base(prior, readings)
+
+
+def _require_once(readings: Sequence[Readings]) -> None:
+    """Raise SensorError where readings are given twice, which would count twice."""
+    for one, other in combinations(readings, 2):
+        fields = ((getattr(r, f) for r in (one, other)) for f in ("time", "arclength", "values"))
+        alike = type(one) is type(other) and len(one) > 1
+        if one is other or (alike and all(np.array_equal(*each) for each in fields)):
+            raise SensorError(
+                f"{one.label} and {other.label} are the same readings, which would count twice; "
+                f"give each once."
+            )
+
+
+def _warn_of_strangers(
+    readings: Sequence[Readings], sensor_parameters: Sequence[SensorParameter]
+) -> None:
+    """Say so where no sensor parameter belongs to any of the readings, as with a misspelt name."""
+    names = {r.name for r in readings}
+    if sensor_parameters and not any(names.intersection(p.streams) for p in sensor_parameters):
+        theirs = sorted({name for p in sensor_parameters for name in p.streams})
+        warnings.warn(
+            f"The sensor parameters are of streams {', '.join(theirs)}, and the readings of "
+            f"{', '.join(sorted(names)) or 'none'}: they change nothing. Give readings the name of "
+            f"their stream.",
+            EstimateWarning,
+            stacklevel=4,
+        )
 
 
 def require_base(prior: Prior, readings: Sequence[Readings]) -> None:

@@ -31,6 +31,8 @@ from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import Progress, SolverOptions
 
+_TOLD = 0.98  # of what was stated of a sensor parameter: below it, readings told something
+
 
 @dataclass(frozen=True)
 class Run(Brief):
@@ -64,17 +66,22 @@ class Run(Brief):
         return [*check(self.errors), *check_readings(self.posterior, self.readings, parameters)]
 
     def sensor_parameters(self) -> list[dict[str, Any]]:
-        """Every estimated sensor parameter: value and std at mid recording, RMS over time."""
+        """Every estimated sensor parameter: value and std at mid recording, RMS over time.
+
+        Also whether readings told anything of it, or it is as uncertain as it was stated.
+        """
         out = []
         for parameter, _ in self.posterior.sensor_parameters:
             values, cov = self.posterior.parameter(parameter.name)
             middle = len(values) // 2
+            std = np.sqrt(np.diagonal(cov[middle]))
             out.append(
                 {
                     "name": parameter.name,
                     "kind": parameter.kind,
                     "value": values[middle].tolist(),
-                    "std": np.sqrt(np.diagonal(cov[middle])).tolist(),
+                    "std": std.tolist(),
+                    "told": bool(np.any(std < _TOLD * np.maximum(parameter.std, 1e-12))),
                     "rms": np.sqrt(np.mean(values**2, axis=0)).tolist(),
                 }
             )

@@ -125,9 +125,9 @@ def _require_unit(model: TendonModel, data: TendonData) -> None:
     moved, foretold = spread(data.tip), spread(data.tip - _errors(model, model.start(), data))
     if not foretold / _FAR < moved < foretold * _FAR:
         raise RecordingError(
-            f"The tip moves by {1e3 * moved:.3g} mm (RMS), where these displacements move a robot of "
-            f"this file by {1e3 * foretold:.3g} mm; give positions and displacements in the units "
-            f"that the recording says, and stiffness in N m²."
+            f"The tip moves by {1e3 * moved:.3g} mm (RMS), where these displacements move a robot "
+            f"of this file by {1e3 * foretold:.3g} mm; give positions and displacements in the "
+            f"units that the recording says, and stiffness in N m²."
         )
 
 
