@@ -188,6 +188,29 @@ def test_it_is_judged_by_orientations_too():
 
 
 @pytest.mark.parametrize("turns", [True, False])
+def swaying(time):
+    """Strains (M, 6) of an arc that sways by half a turn a metre."""
+    return np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]) + np.outer(np.cos(time), [0, 0, 0, np.pi, 0, 0])
+
+
+def bent_estimate(places, time):
+    """Trajectories at some places of an arc that sways, with rotations."""
+    pose = [se3.exp(place * swaying(time)) for place in places]
+    cov = [np.full((time.size, 6, 6), np.nan)] * len(places)
+    return ForeignEstimate(np.array(places), [time] * len(places), pose, cov, turns=True)
+
+
+def test_between_places_a_body_is_an_arc_and_far_apart_it_is_not_judged():
+    time = np.linspace(0.0, 1.0, 21)
+    theirs = bent_estimate([0.1, 0.2, 0.3, 0.4, 0.5], time)
+    truth = robot_readings("there", time, 0.25, se3.exp(0.25 * swaying(time)), np.full(6, 1e-3))
+    np.testing.assert_allclose(theirs.errors(truth).position, 0.0, atol=1e-9)
+    assert not theirs.dropped(truth)
+    sparse = bent_estimate([0.1, 0.5], time)
+    assert sparse.dropped(truth) == {"in gaps of the estimate": 21}
+    assert not len(sparse.errors(truth).position)
+
+
 def test_an_estimate_that_is_right_has_the_errors_of_the_truth_alone(turns):
     """Whatever the mount, and whatever the axes in which the truth's noise is stated."""
     rng, count = np.random.default_rng(3), 400

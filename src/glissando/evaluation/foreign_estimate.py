@@ -32,6 +32,7 @@ from glissando.model.sensors.sensors import (
 )
 
 _SAME = 1e-4  # m: samples no farther apart along the body are of one place
+_FAR_APART = 0.3  # of the body: between trajectories that far apart nothing is stated
 _GAP = 5.0  # usual steps, beyond which nothing is interpolated
 _UNITS = "length-unit", "time-unit", "clock"  # checks whose refusals an estimate heeds
 _LOOKED_AT = 8  # trajectories whose units are checked
@@ -70,10 +71,15 @@ class ForeignEstimate(Brief):
         return np.asarray(inside)
 
     def in_gap(self, arclength: Array, time: Array) -> NDArray[np.bool_]:
-        """Which points (M,) lie where a trajectory beside them pauses for many of its steps."""
+        """Which points (M,) lie where a trajectory beside them pauses for many of its steps.
+
+        Or where the next ones are far apart along the body, whose shape between is not stated.
+        """
         gaps, rows = np.stack([_in_gap(t, time) for t in self.time]), np.arange(time.size)
         lower, upper = self._neighbours(arclength)
-        return np.asarray(gaps[lower, rows] | gaps[upper, rows])
+        apart = self.arclength[upper] - self.arclength[lower]
+        far = apart > _FAR_APART * float(np.max(self.arclength))
+        return np.asarray(gaps[lower, rows] | gaps[upper, rows] | far)
 
     def _neighbours(self, place: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Numbers (M,) of the trajectories below and above arclengths (M,), one at its own."""
@@ -91,7 +97,10 @@ class ForeignEstimate(Brief):
         return {reason: count for reason, count in lost.items() if count}
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
-        """Pose and covariance at points (M,), linear in time and arclength; the rest is zero."""
+        """Pose and covariance at points (M,), linear in time and on arcs along the body.
+
+        Without rotations it is linear along the body, too. The rest is zero.
+        """
         place, when = np.asarray(arclength, dtype=float), np.asarray(time, dtype=float)
         lower, upper = self._neighbours(place)
         gap = self.arclength[upper] - self.arclength[lower]
@@ -106,7 +115,8 @@ class ForeignEstimate(Brief):
         whole[:, :6, :6] = (1.0 - share)[:, None, None] * cov[lower, rows]
         whole[:, :6, :6] += share[:, None, None] * cov[upper, rows]
         zeros = np.zeros((place.size, 6))
-        return StateEstimate(_part(near, far, share), zeros, zeros, whole)
+        part = _on_arc if self.turns else _part
+        return StateEstimate(part(near, far, share), zeros, zeros, whole)
 
     def errors(self, truth: Readings) -> Errors:
         """Errors at the samples of a truth stream that the estimate covers, outside of its gaps."""
@@ -304,6 +314,12 @@ def _between(time: Array, pose: Array, cov: Array, when: Array) -> tuple[Array, 
     share = np.clip((when - time[k]) / (time[k + 1] - time[k]), 0.0, 1.0)
     part = share[:, None, None]
     return _part(pose[k], pose[k + 1], share), (1.0 - part) * cov[k] + part * cov[k + 1]
+
+
+def _on_arc(near: Array, far: Array, share: Array) -> Array:
+    """Poses (M, 4, 4) a share of the way along an arc that leads from one to the other."""
+    twist = se3.log(se3.inverse(near) @ far)
+    return np.asarray(near @ se3.exp(share[:, None] * twist))
 
 
 def _part(near: Array, far: Array, share: Array) -> Array:
