@@ -185,6 +185,26 @@ def test_a_recording_that_cannot_be_calibrated_says_why(tmp_path):
     with pytest.raises(RecordingError, match=r"say with --coil .* coil, b"):
         recording_data(two)
     assert recording_data(two, "b").coil_name == "b"
+    gyro = Rows("gyro", coil.rows.time, coil.rows.arclength, np.zeros((len(coil.rows.time), 3)), {})
+    beside = replace(recording, streams={**recording.streams, "g": Stream("g", gyro)})
+    with pytest.raises(RecordingError, match=r"of coils or poses, .* it has coil\.$"):
+        recording_data(beside, "g")
+
+
+def test_a_fixed_coil_states_no_direction_and_poses_stay_as_noisy_as_their_robot_says():
+    data, known = rigs.drawn(0, "bent")
+    recording = recording_of(data)
+    coil = recording.streams["coil"]
+    at = np.full(coil.rows.time.size, 0.65)
+    fixed = replace(coil, rows=Rows("pose", coil.rows.time, at, coil.rows.values, {}))
+    recording = replace(recording, streams={**recording.streams, "coil": fixed})
+    own = recording_data(recording)
+    assert own.direction == 0
+    robot = replace(rigs.robot(rigs.NODES), sensor_std={"pose": np.repeat([1e-3, 2e-2], 3)})
+    result = Calibration(known, 1e-6 * np.eye(len(PARAMETERS)), "coil", np.inf)
+    made = calibrated(recording, result, own, robot).streams["coil"]
+    assert made.rows.kind == "coil"
+    np.testing.assert_array_equal(made.std, [1e-3, 1e-3, 1e-3, 2e-2, 2e-2])
 
 
 def test_a_frame_parameter_of_the_robot_stands_for_an_unknown_frame(folder):

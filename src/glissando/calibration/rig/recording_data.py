@@ -49,7 +49,7 @@ def recording_data(recording: Recording, coil: str | None = None) -> RigData:
         bodies=bodies,
         coil_arclength=farthest,
         coil_arclength_std=_ARCLENGTH_STD,
-        direction=-1,
+        direction=-1 if slides else 0,
         noise=_noise(recording, list(bodies)),
         channel=stream.channel,
         mount=stream.mount,
@@ -61,7 +61,8 @@ def calibrated(
 ) -> Recording:
     """The recording with what was found: times, arclengths and mount of the coil, in the world.
 
-    Other streams in the coil's frame share its clock and come into the world with it.
+    Poses come to be readings of a coil, as noisy as they were, whose roll is not read. Other
+    streams in the coil's frame share its clock and come into the world with it.
 
     Args:
         recording: The recording.
@@ -71,7 +72,8 @@ def calibrated(
     """
     rig, own = calibration.rig, recording.streams[data.coil_name]
     coil = apply(calibration, data, robot).streams[own.name]
-    std = None if own.std is None else own.std[: coil.rows.sensor.rows]
+    std = robot.sensor_std.get(own.rows.kind) if own.std is None else own.std
+    std = None if std is None else std[: coil.rows.sensor.rows]
     streams = dict(recording.streams)
     streams[own.name] = replace(coil, std=std)
     for name, stream in recording.streams.items():
@@ -87,6 +89,7 @@ def _coil(recording: Recording, name: str | None) -> Stream:
     """The stream to calibrate."""
     coils = [s for s in recording.streams.values() if s.rows.kind in ("coil", "pose")]
     coils = [s for s in coils if not s.truth]
+    known = ", ".join(s.name for s in coils)
     if name is not None:
         coils = [s for s in coils if s.name == name]
     for better in (
@@ -95,10 +98,9 @@ def _coil(recording: Recording, name: str | None) -> Stream:
     ):
         coils = [s for s in coils if s in better] if len(coils) > 1 and better else coils
     if len(coils) != 1:
-        known = ", ".join(s.name for s in recording.streams.values() if not s.truth)
         raise RecordingError(
-            f"{recording.name}: say with --coil which stream of a tracker is to be calibrated; "
-            f"besides truth it has {known or 'none'}."
+            f"{recording.name}: say with --coil which stream of a tracker, of coils or poses, is "
+            f"to be calibrated; besides truth it has {known or 'none'}."
         )
     return coils[0]
 
