@@ -3,9 +3,10 @@
 And what a scan for contacts after an update costs, while nothing touches and while something does.
 
 A simulated rod of the shipped robot's length is swayed by a force at its tip while a coil slides
-along it, and in the second half of the time pushed from the side. The priors' smoothers take turns, update by update, so that a busy machine slows all.
-With a recording, its readings and its robot, or the robot of a file, are taken instead; an update
-counts as it was in the fastest of some runs.
+along it, and in the second half of the time pushed from the side. The priors' smoothers take
+turns, update by update, so that a busy machine slows all. With a recording, its readings and its
+robot, or the robot of a file, are taken instead; an update counts as it was in the fastest of some
+runs.
 Usage: update_cost.py [--nodes N ...] [--window K] [--updates U] [--seed S] [--json]
        update_cost.py --recording FOLDER --between A B [--robot FILE] [--nodes N ...] [--window K]
 """

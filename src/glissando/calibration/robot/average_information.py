@@ -58,6 +58,12 @@ class Change(NamedTuple):
     left: Array
     right: Array
 
+    def halfway_to(self, other: Change) -> Change:
+        """The mean of two changes."""
+        shift, width = 0.5 * (self.shift + other.shift), 0.5 * (self.width + other.width)
+        left, right = 0.5 * (self.left + other.left), 0.5 * (self.right + other.right)
+        return Change(0.5 * (self.misfit + other.misfit), width, shift, left, right)
+
 
 def slopes(changes: Sequence[Change | None], count: int) -> tuple[Array, Array]:
     """Slope (P,) and information (P, P) of minus the evidence, per degree of freedom.
@@ -115,7 +121,7 @@ class EvidenceAt:
         if NUDGE * change.shift < _STILL:
             return change
         forth, back = map(self._change, finely, (FINE, -FINE))
-        return Change(*(0.5 * (a + b) for a, b in zip(forth, back, strict=True)))
+        return forth.halfway_to(back)
 
     def _change(self, document: Document, nudge: float) -> Change:
         """What changes from there to another robot file, by one unit of its `nudge`."""
