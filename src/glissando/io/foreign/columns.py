@@ -11,6 +11,7 @@ small letters about fixed ones.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -137,6 +138,7 @@ def _entries(text: str) -> dict[str, str]:
     return entries
 
 
+_LIKE = 0.75  # how alike a key is to another that was misspelt
 _GENERAL = ("time", "count", "clock", "length", "angle", "euler", "frame")
 
 
@@ -157,6 +159,13 @@ def _mapping(table: Table) -> Mapping:
     objects = {}
     for name, entries in table.named_tables("objects"):
         objects[name] = {key: _column(entries, key) for key in entries.names()}
+        for key in objects[name]:
+            meant = get_close_matches(key, _GENERAL, 1, _LIKE)
+            if meant and len(key) > 3:
+                raise entries.fail(key, f"is no column; is {meant[0]} meant?")
+        if clock in objects[name].values():
+            key = next(k for k, column in objects[name].items() if column == clock)
+            raise entries.fail(key, f"is the column of the time, {clock}; give it its own.")
     table.close()
     if not objects or not all(objects.values()):
         raise table.fail("objects", "say no column; give x, y, z or those of another sensor.")

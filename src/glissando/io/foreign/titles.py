@@ -88,7 +88,8 @@ def find(path: Path, titles: list[str], column: str) -> int:
         return titles.index(column)
     if column.isdecimal() and int(column) > 0:
         return int(column) - 1
-    raise RecordingError(f"{path.name} has no column {column!r}; it has {', '.join(titles)}.")
+    has = f"it has {', '.join(titles)}" if titles else "columns are numbered from 1"
+    raise RecordingError(f"{path.name} has no column {column!r}; {has}.")
 
 
 def dated(cells: list[str], clock: int) -> list[str]:
