@@ -235,6 +235,8 @@ def test_a_map_over_time_is_the_same_online_and_in_batch(swaying):
     both = ContactScan.over([one, last])
     np.testing.assert_allclose(both.log_ratio[0], whole.log_ratio[3])
     np.testing.assert_allclose(both.time, TIMES[[3, -1]])
+    with pytest.raises(GlissandoError, match="scans of one smoother, one at least"):
+        ContactScan.over([])
 
 
 def test_what_is_believed_of_errors_of_a_moving_robot_is_what_all_factors_say():

@@ -34,6 +34,11 @@ class NoColumn(Flat):
         return at.pose[:, 2, 3]
 
 
+class Nothing(Flat):
+    def residual(self, at):
+        """Forget to return it."""
+
+
 class FlatSlope(Flat):
     def jacobian(self, at):
         return np.zeros((len(self), 18))
@@ -60,6 +65,7 @@ class Ray(Flat):
     ("sensor", "sentence"),
     [
         (NoColumn, r"residual\(at\) returns shape \(\d+,\); return"),
+        (Nothing, r"residual\(at\) returns shape \(\); return"),
         (FlatSlope, r"jacobian\(at\) returns shape \(\d+, 18\); return"),
         (Blind, "the residual of row 0 is not finite"),
     ],

@@ -99,7 +99,8 @@ def print_loads(
     if count > 1 and isinstance(prior := posterior.prior, MechanicalPrior):
         console.print(
             f"Loads are believed to last {prior.time_scale:.3g} s ([prior] time_scale): a "
-            f"touch that begins or ends faster makes moments before and after it seem touched.",
+            f"touch that begins or ends faster makes moments before and after it seem touched, and "
+            f"is put at a wrong place with a wrong force. Give one as short as touches are.",
             markup=False,
         )
     if tendons:

@@ -89,7 +89,13 @@ class ContactScan:
 
     @staticmethod
     def over(scans: Sequence[ContactScan]) -> ContactScan:
-        """Scans of K times with the same places as one, such as those of an online smoother."""
+        """Scans of K times with the same places as one, such as those of an online smoother.
+
+        Raises:
+            GlissandoError: There is none, or their places differ.
+        """
+        if len({scan.arclength.tobytes() for scan in scans}) != 1:
+            raise GlissandoError("Give scans of one smoother, one at least: they share its places.")
         parts = {
             name: np.stack([getattr(scan, name) for scan in scans])
             for name in ("time", "log_ratio", "force", "cov", "evidence", "threshold", "acts")

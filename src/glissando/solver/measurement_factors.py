@@ -224,9 +224,9 @@ def _checked(readings: Readings, at: Interpolation) -> tuple[Array, Array]:
     m = at.nodes.shape[0]
     residual = readings.residual(at.state)
     dof = at.jacobian.shape[1]
-    if residual.shape != (m, readings.row_count):
+    if np.shape(residual) != (m, readings.row_count):
         raise SensorError(
-            f"{readings.label}: residual(at) returns shape {residual.shape}; return "
+            f"{readings.label}: residual(at) returns shape {np.shape(residual)}; return "
             f"{(m, readings.row_count)}, a row for each reading."
         )
     if not np.isfinite(residual).all():
@@ -238,9 +238,9 @@ def _checked(readings: Readings, at: Interpolation) -> tuple[Array, Array]:
             f"every state a finite one."
         )
     by_state = readings.jacobian(at.state)
-    if by_state.shape != (m, readings.row_count, dof):
+    if np.shape(by_state) != (m, readings.row_count, dof):
         raise SensorError(
-            f"{readings.label}: jacobian(at) returns shape {by_state.shape}; return "
+            f"{readings.label}: jacobian(at) returns shape {np.shape(by_state)}; return "
             f"{(m, readings.row_count, dof)}, or leave it out."
         )
     return residual, by_state
