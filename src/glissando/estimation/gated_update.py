@@ -13,17 +13,13 @@ from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.outliers import CHANCE
 from glissando.estimation.reading_buffer import ReadingBuffer
-from glissando.estimation.sliding_window import SlidingWindow
+from glissando.estimation.sliding_window import LostError, SlidingWindow
 from glissando.solver.gauss_newton import SolverOptions
 
 _RENEWED = 2  # intervals before the newest node that an update linearises again
 _CLOSE = 0.02  # standard deviations: where the last step missed by less, the newest alone will do
 _MISS = 0.1  # standard deviations by which a step may miss before it is followed by another
 _MOST = 5  # steps of a solution, and readings that any update may refuse
-
-
-class LostError(Exception):
-    """What is read is beyond what a linear belief allows."""
 
 
 class GatedUpdate:
@@ -56,7 +52,7 @@ class GatedUpdate:
                 window.prior,
                 window.grid(),
                 readings,
-                window.believed_parameters(),
+                window.parameters.believed(),
                 SolverOptions(max_iterations=30),
                 gate=CHANCE,
             )

@@ -30,6 +30,7 @@ from glissando.estimation.posterior import Posterior
 from glissando.estimation.solve_report import SolveReport
 from glissando.estimation.state_estimate import StateEstimate
 from glissando.estimation.window_nodes import Nodes
+from glissando.estimation.window_parameters import WindowParameters
 from glissando.estimation.window_system import WindowSystem
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
@@ -47,14 +48,16 @@ from glissando.solver.measurement_factors import measurement_factors
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder, kernel_arguments
 from glissando.solver.outcome import Outcome
 
-_FAR = 3.0  # standard deviations by which a delay may be longer than it is estimated
-_LOST = 6.0  # stated standard deviations that no delay is off
+
+class LostError(Exception):
+    """What is read is beyond what a linear belief allows."""
 
 
 class SlidingWindow:
     """Time nodes of a prior on `arclength` (N,), solved together with `sensor_parameters`.
 
     Attributes:
+        parameters: What is known of those.
         dating: What dates the readings of streams with an estimated delay, if there are any.
     """
 
@@ -69,8 +72,7 @@ class SlidingWindow:
         self.dating: DelayDating | None = None
         self._grid = Grid(arclength, [0.0])
         self._process = EstimatedParameters(self._grid, self.sensor_parameters)
-        self._parameters = self._process.mean, np.diag(self._process.std**2)
-        self._settled = 0.0, *self._parameters
+        self.parameters = WindowParameters(self._process)
         self._root = np.zeros((0, 0))  # its square is the covariance of the newest step
         self._terms: list[LinearizedReadings] = []
         self._rng: np.random.Generator | None = None  # of noise, where it is asked for
@@ -85,7 +87,7 @@ class SlidingWindow:
 
     def begin(self, time: float, state: State) -> None:
         """Start with one node, linearised at `state` (N,); of before, keep sensor parameters."""
-        values, cov = self._parameters = self._carried(time)
+        values, cov = self.parameters.begin(time)
         self.before = None
         self.nodes = self._node(time, state, values)
         self.layout = Layout(self.arclength.size, state.dof, self._process.size)
@@ -100,47 +102,28 @@ class SlidingWindow:
         self._noise = np.zeros((1, size))
         self._root = np.zeros((0, 0))
 
-    @property
-    def lost_delay(self) -> bool:
-        """Whether a delay went further than what was stated of it allows, as steps in error do."""
-        columns, process = self._process.delay_columns, self._process
-        off = np.abs(self.nodes.newest[1] - process.mean) > _LOST * process.std
-        return bool(off[columns].any())
-
     def settle(self) -> None:
-        """Note what is known of the sensor parameters, to go on with where a window begins anew."""
-        if self.lost_delay:
-            self._settled = 0.0, self._process.mean, np.diag(self._process.std**2)
-        elif self._process.size:
-            own = self._root[:, self.nodes.state.numbers :]
-            self._settled = float(self.nodes.time[-1]), self.nodes.newest[1], own.T @ own
+        """Note what is known of the sensor parameters, to go on with where a window begins anew.
+
+        Raises:
+            LostError: A delay is further off than what is stated of it allows.
+        """
+        if not self._process.size:
+            return
+        values, own = self.nodes.newest[1], self._root[:, self.nodes.state.numbers :]
+        if self.parameters.lost_delay(values):
+            self.parameters.forget()
+            raise LostError
+        self.parameters.settle(float(self.nodes.time[-1]), values, own.T @ own)
 
     @property
     def longest_delay(self) -> float:
         """How far, s, a reading may be from its stamp by delays that are estimated."""
-        columns, own = self._process.delay_columns, slice(self.nodes.state.numbers, None)
-        if not columns or not self._root.size:
-            values, std = self._process.mean, self._process.std
-        else:
-            values, std = self.nodes.newest[1], np.sqrt(np.sum(self._root[:, own] ** 2, axis=0))
-        return float(np.max((np.abs(values) + _FAR * std)[columns], initial=0.0))
-
-    def _carried(self, time: float) -> tuple[Array, Array]:
-        """The sensor parameters and their covariance at a time, by what was known when settled.
-
-        They are stationary, so that they fade alike to times before and after.
-        """
-        process, (settled, values, cov) = self._process, self._settled
-        fade = np.exp(-abs(time - settled) / process.memory)
-        faded = fade[:, None] * cov * fade + np.diag(process.std**2 * (1.0 - fade**2))
-        return process.mean + fade * (values - process.mean), faded
-
-    def believed_parameters(self) -> list[SensorParameter]:
-        """The sensor parameters as they were known when the first node began."""
-        values, cov = self._parameters
-        std = np.sqrt(np.diagonal(cov))
-        pairs = zip(self._process.each, self._process.columns, strict=True)
-        return [replace(p, value=values[at], std=std[at]) for p, at in pairs]
+        values, std = self._process.mean, self._process.std
+        if self._root.size:
+            own = self._root[:, self.nodes.state.numbers :]
+            values, std = self.nodes.newest[1], np.sqrt(np.sum(own**2, axis=0))
+        return self.parameters.longest_delay(values, std)
 
     @property
     def intact(self) -> int:

@@ -8,21 +8,21 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 
 import numpy as np
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import OutsideGridError, UnobservableError
-from glissando.estimation.gated_update import GatedUpdate, LostError
+from glissando.estimation.gated_update import GatedUpdate
 from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.misfit import breakdown
 from glissando.estimation.reading_buffer import ReadingBuffer
 from glissando.estimation.shape_spread import ShapeSpread, shape_covariances, tip_spread
 from glissando.estimation.silence import Silence
-from glissando.estimation.sliding_window import SlidingWindow
+from glissando.estimation.sliding_window import LostError, SlidingWindow
 from glissando.estimation.state_estimate import StateEstimate
 from glissando.model.grid import Grid
 from glissando.model.seconds import seconds
@@ -147,15 +147,14 @@ class WindowSteps:
                 self._started = self.update.start(fresh)  # all there is, as in a batch
             try:
                 self._solve(self.update.first_changed(earliest), fresh)  # (19) to (21), gated
-                if self.window.lost_delay:
-                    self.window.settle()  # as it was stated
-                    raise LostError
+                self.window.settle()
             except (np.linalg.LinAlgError, UnobservableError, LostError) as error:
                 with self._explained():
                     if not self._started:
                         raise error
                     self._restart(min(earliest, newest - self._silence.step), fresh)
-            self.window.settle()
+                with suppress(LostError):
+                    self.window.settle()
             if fresh.total():
                 self._silence.end(before, newest)
             elif self._started:
