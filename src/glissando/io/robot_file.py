@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from glissando.errors import OldNameWarning, RobotFileError
+from glissando.errors import GlissandoError, OldNameWarning, RobotFileError
 from glissando.geometry.se3 import Array
 from glissando.io.provenance import require_readable
 from glissando.io.shipped_robots import robot_file
@@ -56,7 +56,7 @@ def load_robot(name: str | Path) -> Robot:
     """A robot by the name of a shipped one or by the path of a robot file.
 
     Raises:
-        RobotFileError: Something is wrong in the file, with its key.
+        RobotFileError: Something is wrong in the file, which is named.
 
     >>> load_robot("tdcr466").length
     0.466
@@ -64,7 +64,12 @@ def load_robot(name: str | Path) -> Robot:
     if not isinstance(name, str | PathLike):
         raise RobotFileError(f"load_robot was given {name!r}; give a robot's name or its file.")
     path = robot_file(name)
-    robot = parse_robot(Table(read_robot_document(path), path.name, RobotFileError))
+    try:
+        robot = parse_robot(Table(read_robot_document(path), path.name, RobotFileError))
+    except RobotFileError:
+        raise
+    except GlissandoError as problem:  # of what its numbers make
+        raise RobotFileError(f"{path.name}: {problem}") from None
     return replace(robot, file=path)
 
 
@@ -122,6 +127,9 @@ def parse_robot(table: Table) -> Robot:
     sensor_parameters = tuple(
         _sensor_parameter(entry) for entry in table.tables("sensor_parameters")
     )
+    names = [parameter.name for parameter in sensor_parameters]
+    for twice in {name for name in names if names.count(name) > 1}:
+        raise table.fail("[[sensor_parameters]]", f"has two named {twice!r}; rename one.")
     tube, tendons = _tube(table.table("tube")), read_tendons(table, length, mechanics)
     table.skip("format")
     table.skip("physics")  # of the simulator, which checks it
