@@ -235,12 +235,14 @@ class Grid(Brief):
             name, values, nodes, unit = "arclength", s, self.arclength, "m"
         form = seconds if name == "time" else "{:.4g}".format
         shown = ", ".join(form(values[i]) for i in first)
+        cure = "Correct them, widen the grid, or drop them (readings.inside(grid) does)."
+        cure = "Ask for what lies inside." if what == "Query" else cure
         rows = f"row {first[0]} has" if first.size == 1 else f"rows {_listed(first)} have"
         excess = np.maximum(values[outside] - nodes[-1], nodes[0] - values[outside]).max()
         raise OutsideGridError(
             f"{what}: {outside.size} of {s.size} rows lie outside the grid; {rows} {name} {shown} "
             f"{unit}, up to {excess:.3g} {unit} outside [{form(nodes[0])}, {form(nodes[-1])}] "
-            f"{unit}. Correct them, widen the grid, or drop them (readings.inside(grid) does)."
+            f"{unit}. {cure}"
         )
 
     def locate(self, arclength: Array, time: Array) -> tuple[Cells, Cells]:
