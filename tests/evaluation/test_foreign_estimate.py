@@ -187,7 +187,6 @@ def test_it_is_judged_by_orientations_too():
     np.testing.assert_allclose(theirs.errors(truth).rotation, 0.1, atol=1e-9)
 
 
-@pytest.mark.parametrize("turns", [True, False])
 def swaying(time):
     """Strains (M, 6) of an arc that sways by half a turn a metre."""
     return np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]) + np.outer(np.cos(time), [0, 0, 0, np.pi, 0, 0])
@@ -211,6 +210,7 @@ def test_between_places_a_body_is_an_arc_and_far_apart_it_is_not_judged():
     assert not len(sparse.errors(truth).position)
 
 
+@pytest.mark.parametrize("turns", [True, False])
 def test_an_estimate_that_is_right_has_the_errors_of_the_truth_alone(turns):
     """Whatever the mount, and whatever the axes in which the truth's noise is stated."""
     rng, count = np.random.default_rng(3), 400
