@@ -98,7 +98,7 @@ def test_every_command_that_computes_shows_its_work(module):
 
 def test_compiling_says_how_far_it_is(tmp_path, monkeypatch, capsys):
     names = [SimpleNamespace(__name__=str(number)) for number in range(25)]
-    kernels = [SimpleNamespace(module="steps", function=f, work=lambda: 3) for f in names]
+    kernels = [SimpleNamespace(file=f"steps.{f.__name__}", work=lambda: 3) for f in names]
     monkeypatch.setattr(jit, "_NOTICE", 0.02)
     monkeypatch.setattr(jit, "_AGAIN", 0.02)
     over = threading.Event()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Sequence
+from difflib import get_close_matches
 from itertools import combinations
 from typing import Any
 
@@ -28,6 +29,7 @@ from glissando.model.stated import is_number
 from glissando.solver.gauss_newton import SolverOptions
 
 _FAR = 5.0  # standard deviations of an offset
+_LIKE = 0.75  # how alike names are of which one may be misspelt
 _LONGEST = 50.0  # m of a robot, as in a robot file
 
 
@@ -75,14 +77,16 @@ def _require_once(readings: Sequence[Readings]) -> None:
 def _warn_of_strangers(
     readings: Sequence[Readings], sensor_parameters: Sequence[SensorParameter]
 ) -> None:
-    """Say so where no sensor parameter belongs to any of the readings, as with a misspelt name."""
+    """Say so where no sensor parameter belongs to any reading, and one that has no name may."""
     names = {r.name for r in readings}
-    if sensor_parameters and not any(names.intersection(p.streams) for p in sensor_parameters):
-        theirs = sorted({name for p in sensor_parameters for name in p.streams})
+    theirs = sorted({name for p in sensor_parameters for name in p.streams})
+    if not theirs or names.intersection(theirs):
+        return
+    if "" in names or any(get_close_matches(name, theirs, 1, _LIKE) for name in names):
         warnings.warn(
             f"The sensor parameters are of streams {', '.join(theirs)}, and the readings of "
-            f"{', '.join(sorted(names)) or 'none'}: they change nothing. Give readings the name of "
-            f"their stream.",
+            f"{', '.join(sorted(r.label for r in readings))}: they change nothing. Give readings "
+            f"the name of their stream.",
             EstimateWarning,
             stacklevel=4,
         )
