@@ -48,8 +48,9 @@ def summary(recording):
 def test_a_posterior_of_any_version_answers_as_it_did(file, tmp_path):
     pytest.importorskip("h5netcdf")
     wanted = json.loads(file.read_text())
-    loose = file.stem == "1-unknowns"  # the separable prior interpolated a little otherwise then
-    tolerance = 2e-3 if loose else 1e-7  # nor had a lasting base a bridge of its own
+    # All priors but the white-noise one bridged intervals from the earlier time node alone then,
+    # and at first a lasting base had no bridge of its own.
+    tolerance = 1e-7 if file.stem == "1-plain" else 5e-3
     posterior = load_posterior(file.with_suffix(".nc"))
     save_posterior(posterior, tmp_path / "again.nc")
     for answers in (posterior, load_posterior(tmp_path / "again.nc")):

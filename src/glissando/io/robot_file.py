@@ -127,9 +127,6 @@ def parse_robot(table: Table) -> Robot:
     sensor_parameters = tuple(
         _sensor_parameter(entry) for entry in table.tables("sensor_parameters")
     )
-    names = [parameter.name for parameter in sensor_parameters]
-    for twice in {name for name in names if names.count(name) > 1}:
-        raise table.fail("[[sensor_parameters]]", f"has two named {twice!r}; rename one.")
     tube, tendons = _tube(table.table("tube")), read_tendons(table, length, mechanics)
     table.skip("format")
     table.skip("physics")  # of the simulator, which checks it
