@@ -65,7 +65,8 @@ def require_batch(
 def _require_once(readings: Sequence[Readings]) -> None:
     """Raise SensorError where readings are given twice, which would count twice."""
     for one, other in combinations(readings, 2):
-        fields = ((getattr(r, f) for r in (one, other)) for f in ("time", "arclength", "values"))
+        names = ("time", "arclength", "values", "mount")
+        fields = ((getattr(r, name) for r in (one, other)) for name in names)
         alike = type(one) is type(other) and len(one) > 1
         if one is other or (alike and all(np.array_equal(*each) for each in fields)):
             raise SensorError(
