@@ -1,6 +1,8 @@
 """Any delimited text is read as what the user says its columns hold, or refused with a sentence."""
 
 import re
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from draws import generators, law, poses
 from foreign_files import hole, motive_csv, ndi_csv, qualisys_tsv, semicolons, tracker_csv
 from glissando.errors import RecordingError
-from glissando.io.foreign import Choices, read_tracks, write_recording
-from glissando.io.foreign.columns import read_path
+from glissando.io.foreign import Choices, columns, read_tracks, write_recording
+from glissando.io.foreign.columns import parse_mapping, read_path
 
 
 @law
@@ -319,3 +321,13 @@ def test_a_quaternion_of_zeros_is_a_tool_that_was_not_seen(tmp_path):
     (track,) = read_tracks(tmp_path / "log.csv", columns=said)
     assert track.time.tolist() == [0.0, 2.0]
     assert track.missing == 1
+
+
+def test_a_sensor_of_ones_own_may_have_columns_that_are_nearly_general_keys(monkeypatch):
+    own = SimpleNamespace(settings=(), value_columns=lambda _: {"range": "m"})
+    monkeypatch.setitem(columns.SENSORS, "ranger", own)
+    given = parse_mapping("time=1,range=2", "log")
+    assert columns._kind(Path("log.csv"), given, "log", given.objects["log"]) == (
+        "ranger",
+        ("range",),
+    )

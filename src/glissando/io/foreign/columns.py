@@ -159,10 +159,6 @@ def _mapping(table: Table) -> Mapping:
     objects = {}
     for name, entries in table.named_tables("objects"):
         objects[name] = {key: _column(entries, key) for key in entries.names()}
-        for key in objects[name]:
-            meant = get_close_matches(key, _GENERAL, 1, _LIKE)
-            if meant and len(key) > 3:
-                raise entries.fail(key, f"is no column; is {meant[0]} meant?")
         if clock in objects[name].values():
             key = next(k for k, column in objects[name].items() if column == clock)
             raise entries.fail(key, f"is the column of the time, {clock}; give it its own.")
@@ -205,6 +201,7 @@ def read_columns(path: Path, mapping: Mapping, rate: float | None) -> list[Track
         raise RecordingError(f"{path.name} counts frames; give their rate with --rate HZ.")
     if not mapping.counts:
         require_no_rate(path, rate)
+    kinds = {name: _kind(path, mapping, name, c) for name, c in mapping.objects.items()}
     lines = [(number, cells) for number, cells in cells_of(path) if any(cells)]
     wanted = [mapping.clock, *(c for columns in mapping.objects.values() for c in columns.values())]
     titles, read = titled(path, lines, wanted)
@@ -216,8 +213,8 @@ def read_columns(path: Path, mapping: Mapping, rate: float | None) -> list[Track
         raise RecordingError(f"{path.name} has dates for times; leave out clock=, of numbers.")
     seconds = 1.0 / rate if mapping.counts and rate else mapping.seconds
     return [
-        _track(path, mapping, name, columns, (titles, rows, clock, seconds))
-        for name, columns in mapping.objects.items()
+        _track(path, mapping, name, kinds[name], (titles, rows, clock, seconds))
+        for name in mapping.objects
     ]
 
 
@@ -225,11 +222,11 @@ def _track(
     path: Path,
     mapping: Mapping,
     name: str,
-    columns: dict[str, str],
+    read_as: tuple[str, tuple[str, ...]],
     parts: tuple[list[str], list[Line], int, float],
 ) -> Track:
-    titles, rows, clock, seconds = parts
-    kind, keys = _kind(path, mapping, name, columns)
+    (kind, keys), (titles, rows, clock, seconds) = read_as, parts
+    columns = mapping.objects[name]
     at = [find(path, titles, columns[key]) for key in keys]
     for key, column in zip(keys, at, strict=True):
         if at.count(column) > 1:
@@ -274,6 +271,10 @@ def _kind(
     for kind, keys in kinds.items():
         if given == set(keys):
             return kind, keys
+    for key in sorted(given.difference(*kinds.values())):
+        meant = get_close_matches(key, _GENERAL, 1, _LIKE)
+        if meant:
+            raise RecordingError(f"--columns of {name}: {key} is no column; is {meant[0]} meant?")
     known = "; ".join(f"{kind}: {','.join(keys)}" for kind, keys in kinds.items())
     raise RecordingError(
         f"{path.name}: the columns {','.join(sorted(given))} of {name!r} make no sensor; give all "
