@@ -102,7 +102,7 @@ def measured(nodes, window, updates, seed):
         began = time.process_time()
         touched = every["mechanical"].contacts().detected.any()
         taken["touched" if touched else "contacts"].append(time.process_time() - began)
-    out = {name: float(np.median(seconds[WARM:])) for name, seconds in taken.items()}
+    out = {name: float(np.median(seconds[WARM:] or [np.nan])) for name, seconds in taken.items()}
     out["dropped"] = sum(sum(each.values()) for s in every.values() for each in s.dropped.values())
     return {"nodes": nodes, "window": window, **out, "ratio": out["mechanical"] / out["separable"]}
 

@@ -119,11 +119,11 @@ def test_a_journal_that_heard_nothing_ends_in_a_sentence(tmp_path, monkeypatch, 
     assert [path.name for path in tmp_path.iterdir()] == ["log"]
 
 
-def test_a_delay_that_no_other_stream_tells_is_said_to_be_as_it_was_stated(
+def test_a_delay_that_no_other_stream_determines_is_said_to_be_as_it_was_stated(
     recording, robot, tmp_path, capsys
 ):
     file = robot(DELAY.replace("value = [%g]", "std = [0.02]"))
     words = ["--robot", file, "--truth", "mocap", "--out", str(tmp_path / "out")]
     assert main(["estimate", recording(0.0), *words]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "± 20 ms; as stated, nothing that was read tells it" in said
+    assert "± 20 ms; as stated, the readings do not determine it" in said

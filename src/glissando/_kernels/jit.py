@@ -190,8 +190,9 @@ def _compile_once(kernels: list[Kernel], folder: Path) -> None:
                 for process in [_compiling(claims, missing, folder) for _ in range(count)]:
                     if process is not None:
                         process.wait()
+            done = _on_disk(folder)
             for kernel in kernels:  # what no process could
-                if kernel.file not in _on_disk(folder):
+                if kernel.file not in done:
                     kernel.compile()
             with suppress(OSError), (folder / "compiled").open("a", encoding="utf-8") as file:
                 file.write("".join(f"{name}\n" for name in missing))

@@ -161,8 +161,8 @@ def _print(run: Run, console: Console) -> None:
     for parameter in run.sensor_parameters():
         kind = parameter["kind"]
         text = parameter_text(kind, parameter["value"], parameter["std"])
-        untold = "" if parameter["told"] else "; as stated, nothing that was read tells it"
-        console.print(f"  {escape(parameter['name'])} ({kind}): {text}{untold}")
+        stays = "" if parameter["observed"] else "; as stated, the readings do not determine it"
+        console.print(f"  {escape(parameter['name'])} ({kind}): {text}{stays}")
     if not run.errors:
         console.print("No truth streams: nothing to compare with. Name some with --truth.")
         return

@@ -31,7 +31,7 @@ from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import Progress, SolverOptions
 
-_TOLD = 0.98  # of what was stated of a sensor parameter: below it, readings told something
+_OBSERVED = 0.98  # of what was stated of a sensor parameter: below it, readings determine it
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Run(Brief):
     def sensor_parameters(self) -> list[dict[str, Any]]:
         """Every estimated sensor parameter: value and std at mid recording, RMS over time.
 
-        Also whether readings told anything of it, or it is as uncertain as it was stated.
+        Also whether readings determine any of it, or it is as uncertain as it was stated.
         """
         out = []
         for parameter, _ in self.posterior.sensor_parameters:
@@ -81,7 +81,7 @@ class Run(Brief):
                     "kind": parameter.kind,
                     "value": values[middle].tolist(),
                     "std": std.tolist(),
-                    "told": bool(np.any(std < _TOLD * np.maximum(parameter.std, 1e-12))),
+                    "observed": bool(np.any(std < _OBSERVED * np.maximum(parameter.std, 1e-12))),
                     "rms": np.sqrt(np.mean(values**2, axis=0)).tolist(),
                 }
             )

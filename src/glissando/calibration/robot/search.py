@@ -131,7 +131,7 @@ class Search:
         """Slope (P,) and curvature (P, P) by what the numbers change of the evidence."""
         self._beside = self.value
         far, fine = average_information.NUDGE, average_information.FINE
-        here, *_ = self._moved(0.0)
+        here = moved(self.document, self.parameters, self.x)
         nudged = list(zip(*(self._moved(h)[1:] for h in (far, fine, -fine)), strict=True))
         parts = [nudged[i :: self.processes] for i in range(min(self.processes, len(nudged)))]
         changes: list[Change | None] = [None] * len(nudged)
