@@ -166,8 +166,8 @@ class FixedLagSmoother:
         self._warned = True
         warnings.warn(
             f"The window began again from rest at {restarts} of {self._advances} times: what was "
-            f"read is forgotten by the next. Give times in seconds, not milliseconds, or read more "
-            f"often.",
+            f"read is forgotten or contradicted by the next. Give times in seconds, not "
+            f"milliseconds, read more often, and check the readings' units, frames and mounts.",
             FalseConfidenceWarning,
             stacklevel=3,
         )

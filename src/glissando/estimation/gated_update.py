@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,11 +15,14 @@ from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.outliers import CHANCE
 from glissando.estimation.reading_buffer import ReadingBuffer
 from glissando.estimation.sliding_window import LostError, SlidingWindow
+from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import SolverOptions
 
 _RENEWED = 2  # intervals before the newest node that an update linearises again
 _CLOSE = 0.02  # standard deviations: where the last step missed by less, the newest alone will do
 _MISS = 0.1  # standard deviations by which a step may miss before it is followed by another
+_LONG, _BRIEF = 30, 10  # iterations of a start, with other shapes and without
+_SAVED = 400  # iterations that starts may take at once, and as many as updates after that
 _MOST = 5  # steps of a solution, and readings that any update may refuse
 
 
@@ -27,7 +31,7 @@ class GatedUpdate:
 
     def __init__(self, window: SlidingWindow, buffer: ReadingBuffer, gate: InnovationGate) -> None:
         self._window, self._buffer, self._gate = window, buffer, gate
-        self._missed = np.inf
+        self._missed, self._spare = np.inf, _SAVED
 
     def first_changed(self, earliest: float) -> int:
         """The first node whose interval is to be linearised again for readings since `earliest`."""
@@ -41,11 +45,15 @@ class GatedUpdate:
     def start(self, fresh: Counter[str]) -> bool:
         """Estimate all there is from rest, as a recording is; whether that could be done.
 
+        Other shapes than rest cost as much as hundreds of updates and are tried as rarely, for
+        readings that no shape explains, as of a tracker in another frame, come again and again.
+
         Args:
             fresh: New readings of each stream, cleared where no shape comes near.
         """
         window = self._window
         readings = self._buffer.streams(window.since(0))
+        most = _LONG if self._spare > 0 else _BRIEF
         try:
             require_base(window.prior, readings)
             posterior = estimate_in_passing(
@@ -53,17 +61,17 @@ class GatedUpdate:
                 window.grid(),
                 readings,
                 window.parameters.believed(),
-                SolverOptions(max_iterations=30),
+                SolverOptions(max_iterations=most),
                 gate=CHANCE,
             )
         except UnobservableError:
             return False  # not yet: some other sensor will fix the base
         except UnreachableError:
-            for stream in readings:
-                for time, arclength in zip(stream.time, stream.arclength, strict=True):
-                    self._refuse(stream.label, time, arclength)
+            self._spare -= most
+            self._refuse_all(readings)
             fresh.clear()
             return False
+        self._spare -= posterior.solve.iterations
         window.restate(posterior.state)
         return True
 
@@ -82,6 +90,7 @@ class GatedUpdate:
         Raises:
             LostError: New readings contradict a belief that cannot refuse them.
         """
+        self._spare = min(self._spare + 1, _SAVED)
         window, before = self._window, self._window.points
         most = max(_MOST, fresh.total() // 2)
         for again in range(most + 1):
@@ -110,6 +119,12 @@ class GatedUpdate:
         """Readings at and after a node."""
         return self._buffer.since(self._window.since(first))
 
+    def refuse(self, fresh: Counter[str]) -> None:
+        """Refuse all new readings of each stream, of which none is left."""
+        held = self._buffer.streams(-np.inf)
+        self._refuse_all([r.select(slice(len(r) - fresh[r.label], None)) for r in held])
+        fresh.clear()
+
     def _solve(self, first: int, readings: HeldReadings, most: int) -> None:
         """Linearise and solve from a node on until a step misses by little."""
         for _ in range(most):
@@ -133,6 +148,11 @@ class GatedUpdate:
                 at = int(np.argmax(nis))
                 worst, wrong = excess, (stream, innovations.time[at], innovations.arclength[at])
         return wrong
+
+    def _refuse_all(self, streams: Sequence[Readings]) -> None:
+        for readings in streams:
+            for time, arclength in zip(readings.time, readings.arclength, strict=True):
+                self._refuse(readings.label, time, arclength)
 
     def _refuse(self, stream: str, time: float, arclength: float) -> None:
         """Let go of a reading, one at a time as a wrong one makes its neighbours look wrong."""

@@ -7,8 +7,7 @@ asked for, and belief grows until a robot at rest is known as well; from then on
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from itertools import pairwise
 
 import numpy as np
@@ -18,7 +17,7 @@ from glissando.errors import OutsideGridError, UnobservableError
 from glissando.estimation.gated_update import GatedUpdate
 from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
-from glissando.estimation.misfit import breakdown
+from glissando.estimation.misfit import breakdown, far_off
 from glissando.estimation.reading_buffer import ReadingBuffer
 from glissando.estimation.shape_spread import ShapeSpread, shape_covariances, tip_spread
 from glissando.estimation.silence import Silence
@@ -32,6 +31,7 @@ _MERGED = 0.01  # of the longest interval: a node as close to the newest one wou
 _BACK = 2.0  # s before the oldest node: a clock that was set, not a reading that came late
 _ROUNDED = 5e-4  # of the least step, by which times round: less than the prior allows it
 _MOST = 50  # nodes of a window that reaches back further than its lag
+_BREAKDOWNS = (np.linalg.LinAlgError, UnobservableError, LostError)  # of a solution
 _CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
 
 
@@ -57,7 +57,7 @@ class WindowSteps:
         self.updates = self.restarts = 0
         self._least = (1.0 + _ROUNDED) * window.prior.least_step(window.arclength)
         self._asked = -np.inf
-        self._started = False
+        self._started = self._explained = False
         self._oldest, self._silence = -np.inf, Silence()
 
     @property
@@ -143,16 +143,16 @@ class WindowSteps:
         newest = float(self.window.nodes.time[-1])
         fresh, earliest = self._arrive()
         if fresh or before is None or newest > before:
-            if not self._started and fresh:
+            starts = bool(fresh) and not self._started
+            if starts:
                 self._started = self.update.start(fresh)  # all there is, as in a batch
             try:
                 self._solve(self.update.first_changed(earliest), fresh)  # (19) to (21), gated
                 self.window.settle()
-            except (np.linalg.LinAlgError, UnobservableError, LostError) as error:
-                with self._explained():
-                    if not self._started:
-                        raise error
-                    self._restart(min(earliest, newest - self._silence.step), fresh)
+                self._explained |= fresh.total() > 0
+            except _BREAKDOWNS as error:
+                since = min(earliest, newest - self._silence.step)
+                self._recover(error, since, fresh, restart=self._started and not starts)
                 with suppress(LostError):
                     self.window.settle()
             if fresh.total():
@@ -251,25 +251,43 @@ class WindowSteps:
 
     def _restart(self, since: float, fresh: Counter[str]) -> None:
         """Begin again from rest, where states have become absurd or say nothing more."""
-        newest = float(self.window.nodes.time[-1])
-        self._oldest = max(since, self._oldest) if fresh else newest
-        self._rest(self._oldest)
         self.restarts += 1
-        self.buffer.forget(self._oldest)
-        if self._oldest < newest:
+        newest = float(self.window.nodes.time[-1])
+        self._begin_again(max(since, self._oldest) if fresh else newest, fresh)
+
+    def _begin_again(self, oldest: float, fresh: Counter[str]) -> None:
+        """A robot at rest at a time, and from there to the newest node what was read."""
+        newest = float(self.window.nodes.time[-1])
+        self._oldest = oldest
+        self._rest(oldest)
+        self.buffer.forget(oldest)
+        if oldest < newest:
             self.window.append(newest)
         if fresh:
             self._started = self.update.start(fresh)
         self._solve(0, fresh)
 
-    @contextmanager
-    def _explained(self) -> Iterator[None]:
-        """Say so where no shape comes near the readings, also from rest."""
+    def _recover(
+        self, error: Exception, since: float, fresh: Counter[str], *, restart: bool
+    ) -> None:
+        """Begin again from rest with what was read since, or without what no shape explains.
+
+        Only a robot whose base nothing fixes has no rest to return to: its error is raised. So is
+        that readings are far beyond reach, as in another unit, if never yet were any explained.
+        """
+        newest = float(self.window.nodes.time[-1])
         try:
-            yield
-        except (np.linalg.LinAlgError, UnobservableError) as error:
-            window, streams = self.window, self.buffer.streams(-np.inf)
-            raise breakdown(error, window.grid(), window.prior, streams) from error
+            if not restart:
+                raise error
+            self._restart(since, fresh)
+        except _BREAKDOWNS as again:
+            prior, grid = self.window.prior, self.window.grid()
+            streams = self.buffer.streams(-np.inf)
+            far = None if self._explained else far_off(grid, prior, streams)
+            if far or not prior.fixes_base:
+                raise breakdown(again, grid, prior, streams) from again
+            self.update.refuse(fresh)
+            self._begin_again(newest, fresh)
 
     def _solve(self, first: int, fresh: Counter[str]) -> None:
         """Solve from a node on, with the new readings that the gate believes."""

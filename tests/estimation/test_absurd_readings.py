@@ -1,0 +1,76 @@
+"""Readings that no shape of the robot explains: a live loop outlives them, and soon."""
+
+from itertools import cycle
+
+import numpy as np
+import pytest
+
+from glissando import CoilReadings, PoseReadings, PositionReadings, load_robot
+from glissando.estimation import several_starts
+from glissando.estimation.bent_starts import bent_starts
+from glissando.estimation.fixed_lag import FixedLagSmoother
+from glissando.geometry import se3
+from glissando.io.shipped_robots import shipped_robots
+
+UPDATES = 12
+
+
+def straight(place):
+    """Poses (M, 4, 4) at places (M,) of a straight robot."""
+    return se3.exp(np.multiply.outer(place, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+
+
+def strange(rng, time, length, count, wild):
+    """Readings of a sensor of any kind, some right, the others anywhere and turned any way."""
+    place = rng.uniform(0.0, length, count)
+    off = np.concatenate([wild * length * np.ones(3), rng.uniform(0.0, np.pi) * np.ones(3)])
+    off = off * (rng.uniform(size=(count, 1)) < 0.5) + 1e-3
+    pose = straight(place) @ se3.exp(off * rng.standard_normal((count, 6)))
+    at = {"time": np.sort(time - rng.uniform(0.0, 0.2, count)), "arclength": place}
+    readings = (
+        PoseReadings(**at, values=pose, cov=1e-6, name="pose"),
+        CoilReadings(**at, values=pose, cov=1e-6, name="coil"),
+        PositionReadings(**at, values=pose[:, :3, 3], cov=1e-6, name="marker"),
+    )
+    return readings[rng.integers(3)]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:The window began again")
+@pytest.mark.parametrize("seed", range(6))
+def test_no_reading_ends_a_loop_and_each_is_counted(seed):
+    rng = np.random.default_rng(seed)
+    robot = load_robot(shipped_robots()[seed % len(shipped_robots())])
+    gate = 1e-6 if seed % 3 else None
+    window, wild, time = int(rng.integers(1, 6)), 10.0 ** rng.uniform(-2.0, 1.0), 0.0
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=window, gate=gate)
+    smoother.add(strange(rng, time, robot.length, 1, 0.0))
+    smoother.advance(time)
+    for _ in range(UPDATES):
+        time += 10.0 ** rng.uniform(-2.0, 0.5)
+        if count := int(rng.integers(0, 5)):
+            smoother.add(strange(rng, time, robot.length, count, wild))
+        newest = smoother.advance(time)
+        assert np.isfinite(newest.pose).all()
+        assert np.linalg.eigvalsh(newest.cov).min() > -1e-9 * np.abs(newest.cov).max()
+
+
+def test_a_tracker_in_another_frame_has_other_shapes_tried_rarely(monkeypatch):
+    """They cost hundreds of updates, and such readings come at every update."""
+    tried = []
+
+    def counted(*given):
+        tried.append(given)
+        return bent_starts(*given)
+
+    monkeypatch.setattr(several_starts, "bent_starts", counted)
+    robot = load_robot("tdcr466-segments")
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=2)
+    place = np.array([0.1, robot.length])
+    for k, side in zip(range(30), cycle([0.2, -0.2]), strict=False):
+        pose = straight(place)
+        pose[:, :3, 3] += [0.3, side, 0.0]
+        both = {"time": [0.1 * k, 0.1 * k], "arclength": place, "values": pose}
+        smoother.add(PoseReadings(**both, cov=1e-6, name="tip"))
+        smoother.advance(0.1 * k)
+    assert 1 <= len(tried) <= 4
