@@ -10,7 +10,14 @@ from scipy.stats import chi2
 
 import separable_sessions as drawn
 from draws import generators, law
-from glissando import CoilReadings, PoseReadings, PositionReadings, load_robot
+from glissando import (
+    BaseVariance,
+    CoilReadings,
+    PoseReadings,
+    PositionReadings,
+    SeparablePrior,
+    load_robot,
+)
 from glissando.errors import FalseConfidenceWarning, OutsideGridError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.shape_spread import shape_covariances
@@ -105,6 +112,19 @@ def test_after_any_pause_what_is_claimed_is_true_and_true_readings_are_taken_at_
     assert np.all(np.diff(spread) >= -0.05 * np.array(spread[1:]))
     assert np.ptp(spread[-3:]) < 1e-9
     assert 0.2 * robot.length < spread[-1] < 2.0 * robot.length
+
+
+@pytest.mark.parametrize("pause", [0.3, 0.6, 1.0, 1.6, 2.2, 4.0])
+def test_a_reading_taken_just_before_the_time_asked_for_ends_a_pause(pause):
+    """No node is put at it: the prior has no digits for two that close to each other."""
+    spread = np.repeat([1e-8, 4.0], 3)
+    prior = SeparablePrior(spread, 0.5, BaseVariance(np.repeat([1e-8, 1e-6], 3), spread))
+    smoother, rng = FixedLagSmoother(prior, np.linspace(0.0, 0.4, 5)), np.random.default_rng(0)
+    for now in [*np.arange(0.0, 1.001, 0.025), 1.0 + pause]:
+        smoother.add(coil(rng, now - 1e-3, tip(0.4, 1e-3, 0.0), 0.4))
+        newest = smoother.advance(now)
+    assert smoother.time == 1.0 + pause
+    assert newest.std_position[-1] < 0.02
 
 
 @pytest.mark.parametrize("name", ["tdcr466", "tdcr466-segments"])

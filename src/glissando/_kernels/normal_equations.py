@@ -30,18 +30,29 @@ def _is_zero(jacobian, node, first, last):
 
 
 @jit(inline=True)
+def _is_none(slopes, width):
+    """Whether no row has a slope in the first columns."""
+    for y in range(len(slopes)):
+        for x in range(width):
+            if slopes[y, x] != 0.0:
+                return False
+    return True
+
+
+@jit(inline=True)
 def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
     """Interval of a factor; its groups of columns with a slope, and how many they are.
 
     A group is up to six columns of a node, or columns side by side of the parameters' at one end of
     the interval: `groups` are the end it belongs to, its column there, its width, its column in
-    the Jacobian.
+    the Jacobian. What lies on the last node is of that node alone, as in a window nodes follow it.
     """
     c, d = jacobian.shape[1:]
     e = extras.shape[1] // 2
-    k, filled = nodes[0] // n_count, 0
-    if e:
-        k = min(k, max(count - 2, 0))
+    k, filled, ahead = nodes[0] // n_count, 0, 0
+    if e and 0 < k == count - 1:  # the parameters' slopes are by the interval that ends there
+        ahead = 1 if _is_none(extras, e) else 0
+        k -= 1 - ahead
     for a in range(c):
         slab = nodes[a] // n_count
         first = (nodes[a] - slab * n_count) * dof + first_dof
@@ -51,11 +62,11 @@ def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
                 groups[filled, 0], groups[filled, 1] = slab - k, first + part
                 groups[filled, 2], groups[filled, 3] = end - part, a * d + part
                 filled += 1
-    for later in range(2 if e else 0):
-        if k + later < count:  # parameters after the last node have no weight
+    for later in range(ahead, 2 if e else 0):
+        if k + later - ahead < count:  # parameters after the last node have no weight
             first, at = n_count * dof, c * d + later * e
             filled = _add_runs(
-                extras[:, later * e : later * e + e], later, first, at, groups, filled
+                extras[:, later * e : later * e + e], later - ahead, first, at, groups, filled
             )
     return k, filled
 

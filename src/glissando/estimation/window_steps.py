@@ -134,7 +134,8 @@ class WindowSteps:
         newest = self.time
         if newest is None or self.resting:
             return time
-        return self._silence.next_node(newest, time, self.buffer)
+        stop = self._silence.next_node(newest, time, self.buffer)
+        return stop if time - stop >= self._least else time
 
     def _step(self, time: float) -> float:
         """One node more, or none if the time is not new, with what came; the newest time."""

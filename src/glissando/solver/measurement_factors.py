@@ -26,6 +26,7 @@ from glissando.solver.located_readings import LocatedReadings, ReadingBatch
 from glissando.solver.spanning_factors import interpolated, spanning_factor
 
 _WAYS = ("arclength", "time")
+_ROUNDED = 16.0  # roundings of a time by which a slope is found, at least
 
 
 def measurement_factors(
@@ -205,7 +206,8 @@ def state_slope(
     nodes, points, m = getattr(grid, way), [arclength, time], time.size
     if nodes.size == 1:
         return np.zeros((m, DOF))
-    nudge, along = 1e-6 * float(nodes[-1] - nodes[0]), _WAYS.index(way)
+    along, least = _WAYS.index(way), float(np.spacing(np.abs(nodes).max()))  # of seconds since 1970
+    nudge = max(1e-6 * float(nodes[-1] - nodes[0]), _ROUNDED * least)
     ends = np.concatenate([points[along] + nudge, points[along] - nudge])
     ends = np.clip(ends, nodes[0], nodes[-1])
     points[along], points[1 - along] = ends, np.tile(points[1 - along], 2)
