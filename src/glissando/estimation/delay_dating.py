@@ -13,18 +13,23 @@ from typing import Protocol
 
 import numpy as np
 
+from glissando.estimation.delay_counting import DelayCounting
 from glissando.estimation.delays import (
     at_times,
     delayed_streams,
+    is_delay,
     moving_with,
     slope_in_time,
 )
 from glissando.estimation.slope_information import SlopeInformation, Slopes
 from glissando.estimation.window_nodes import Nodes
+from glissando.estimation.window_system import WindowSystem
+from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
+from glissando.model.grid import Index
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.state import State
-from glissando.solver.normal_equations import NormalEquationsBuilder
+from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
 
 class Window(Protocol):
@@ -46,24 +51,62 @@ class DelayDating:
 
     Attributes:
         motion: Nodes (K, N) of the window as streams without a delay show them.
+        sums: The sums of a whole window that were noted last.
         information: What that motion and its noise tell of the delays.
+        counting: What of it counts.
     """
 
     motion: State
+    sums: NormalEquationsBuilder
 
     def __init__(self, others: Window, process: EstimatedParameters) -> None:
         """Date by the motion of a window of the other streams, of these sensor parameters."""
         self._others, self._size = others, process.size
         self._columns = process.delay_columns
+        self._delays = [p for p in process.each if is_delay(p)]
         self.information = SlopeInformation(delayed_streams(process), self._columns)
+        self.counting = DelayCounting(process)
         self._slopes: list[Slopes] = []
         self._reaches = False
 
     def copied(self) -> DelayDating:
         """The same, to go on with without a change to this one."""
         out = copy(self)
-        out.information = self.information.copied()
+        out.information, out.counting = self.information.copied(), copy(self.counting)
         return out
+
+    def begin(self, layout: Layout, info: Array, time: float, known: tuple[Array, Array]) -> None:
+        """Begin a window with one node.
+
+        Args:
+            layout: How its numbers are laid out.
+            info: Information on them (D, D).
+            time: Its time, s.
+            known: Values (E,) and covariance (E, E) of the sensor parameters then.
+        """
+        self.information.begin(layout, info)
+        self.counting.begin(time, *known)
+
+    def leave(self, nodes: Nodes, system: WindowSystem) -> None:
+        """Count what a window just left behind; these nodes (K, N) stay."""
+        self.information.drop()
+        at, start = self._linearized_at(nodes, 0)
+        time, known = float(nodes.time[0]), (system.info, system.rhs)
+        system.add(at, *self.counting.leave(time, known, at, start, self.shares))
+
+    def counted(self, nodes: Nodes, system: WindowSystem) -> Array:
+        """The step (K, D) of a window where of what readings tell of delays the share counts."""
+        at, start = self._linearized_at(nodes, -1)
+        own, values = system.root[:, at], start + nodes.step[-1, at]
+        time, info = float(nodes.time[-1]), np.asarray(np.linalg.inv(own.T @ own))
+        more, rhs = self.counting.correction(time, values, info, start, self.shares)
+        return system.solve_with(self.sums, at, more, rhs - more @ start)
+
+    def _linearized_at(self, nodes: Nodes, node: int) -> tuple[Index, Array]:
+        """Which of a node's numbers are delays (d,), and at which values they are linearised."""
+        columns = np.array(self._columns)
+        start: Array = nodes.parameters[node, columns]
+        return nodes.state.numbers + columns, start
 
     def see(self, nodes: Nodes, first: int, free: int, longest: float) -> Nodes:
         """Find the motion of a window.
@@ -91,24 +134,31 @@ class DelayDating:
         """Factors of a motion that moves with the delays, see `delays.moving_with`."""
         return moving_with(factors, nodes.own, self._columns, self._size)
 
-    def dated(self, stream: str, factors: Factors) -> Factors:
-        """Factors of a stream's readings, with the share of the motion's slope that is no noise."""
+    def see_slopes(self, stream: str, factors: Factors) -> None:
+        """Take the slopes of a stream's readings along the motion and along its noise."""
         if factors.extras is None:
-            return factors
+            return
         m, r = factors.terms.residual.shape
-        extras = factors.extras.reshape(m, r, 2, -1).copy()
-        delays = extras[..., self._columns]
-        if not delays.any():
-            return factors
+        extras = factors.extras.reshape(m, r, 2, -1)
+        if not extras[..., self._columns].any():
+            return
         k, n = np.divmod(factors.nodes, self._by_time.shape[2])
         slopes = self._by_time[:, k, n][..., factors.dofs]
         by_time = np.einsum("mrcd,amcd->amr", factors.jacobian, slopes)
         self._slopes.append(Slopes(stream, factors, by_time))
-        extras[..., self._columns] = delays * (self._reaches and self.information.share(stream))
-        return replace(factors, extras=extras.reshape(m, r, -1))
+
+    @property
+    def shares(self) -> Array:
+        """How much of the motion's slope counts for each delay (d,): what is no noise."""
+        shares = [
+            min(self.information.share(stream) for stream in parameter.streams)
+            for parameter in self._delays
+        ]
+        return np.array(shares) if self._reaches else np.zeros(len(shares))
 
     def note(self, sums: NormalEquationsBuilder) -> None:
         """Note what the motion tells in a whole window of these sums."""
+        self.sums = sums
         self.information.note(sums, self._slopes)
 
     def _motions(self, nodes: Nodes) -> list[State]:

@@ -144,13 +144,13 @@ def delayed(
     sensor_parameters: Sequence[SensorParameter],
 ) -> tuple[set[str], list[SensorParameter]]:
     """Names of the streams whose delay is estimated, and all parameters that are no such delay."""
-    others = [p for p in sensor_parameters if not _is_delay(p)]
-    return {name for p in sensor_parameters if _is_delay(p) for name in p.streams}, others
+    others = [p for p in sensor_parameters if not is_delay(p)]
+    return {name for p in sensor_parameters if is_delay(p) for name in p.streams}, others
 
 
 def delayed_streams(process: EstimatedParameters) -> list[str]:
     """Names of the streams whose delay is estimated."""
-    return sorted({name for p in process.each if _is_delay(p) for name in p.streams})
+    return sorted({name for p in process.each if is_delay(p) for name in p.streams})
 
 
 def at_times(state: State, nodes: Array, time: Array) -> State:
@@ -185,7 +185,8 @@ def moving_with(factors: Factors, own: Array, columns: Sequence[int], size: int)
     return replace(factors, extras=extras.reshape(m, r, -1))
 
 
-def _is_delay(parameter: SensorParameter) -> bool:
+def is_delay(parameter: SensorParameter) -> bool:
+    """Whether a parameter is a delay that is estimated."""
     return parameter.kind == "time_offset" and not parameter.known
 
 

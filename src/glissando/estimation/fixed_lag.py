@@ -11,6 +11,7 @@ from __future__ import annotations
 import warnings
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,7 +33,7 @@ from glissando.estimation.given import (
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.shape_spread import ShapeSpread, spread_between
-from glissando.estimation.sliding_window import SlidingWindow
+from glissando.estimation.sliding_window import LostError, SlidingWindow
 from glissando.estimation.state_estimate import StateEstimate, state_at
 from glissando.estimation.window_steps import WindowSteps
 from glissando.geometry.se3 import Array
@@ -265,6 +266,8 @@ class FixedLagSmoother:
             self._window.relinearize(0)
             self._window.solve(0, self._steps.update.readings(0))
             moved = float(np.abs(self._window.nodes.step).max())
+        with suppress(LostError):
+            self._window.settle()
         return rounds
 
     def newest_node(self) -> tuple[State, Array, Grid]:

@@ -98,18 +98,23 @@ class SlidingWindow:
         rhs[own] = own_info * (values - self._process.mean)
         self._system = WindowSystem(self.layout, info, rhs)
         if self.dating is not None:
-            self.dating.information.begin(self.layout, info)
+            self.dating.begin(self.layout, info, time, (values, cov))
         self._noise = np.zeros((1, size))
         self._root = np.zeros((0, 0))
 
     def settle(self) -> None:
         """Note what is known of the sensor parameters, to go on with where a window begins anew.
 
+        Of what readings tell of delays only a share counts from now on.
+
         Raises:
             LostError: A delay is further off than what is stated of it allows.
         """
         if not self._process.size:
             return
+        if self.dating is not None:
+            self.nodes = self.nodes.stepped(self.dating.counted(self.nodes, self._system))
+            self._root = self._system.root.copy()
         values, own = self.nodes.newest[1], self._root[:, self.nodes.state.numbers :]
         if self.parameters.lost_delay(values):
             self.parameters.forget()
@@ -174,10 +179,10 @@ class SlidingWindow:
         Source: equation (20).
         """
         self._system.drop()
-        if self.dating is not None:
-            self.dating.information.drop()
         self.before = float(self.nodes.time[0])
         self.nodes = self.nodes.take(slice(1, None))
+        if self.dating is not None:
+            self.dating.leave(self.nodes, self._system)
         if self._rng is not None:
             self._noise = self._noise[1:]
         self._first = max(0, self._first - 1)
@@ -275,7 +280,7 @@ class SlidingWindow:
         factors = measurement_factors(self.prior, located, nodes.state, nodes.state)
         for stream, rows, batch in factors:
             if self.dating is not None:
-                batch = self.dating.dated(streams[stream].name, batch)
+                self.dating.see_slopes(streams[stream].name, batch)
             moving = self._moving(batch, nodes)
             weights = moving.terms.robust_weights()
             builder.accumulate(moving, weights)

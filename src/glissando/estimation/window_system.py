@@ -118,6 +118,29 @@ class WindowSystem:
         self.intact = len(self)
         return solution
 
+    def solve_with(self, sums: NormalEquationsBuilder, at: Index, info: Array, rhs: Array) -> Array:
+        """The same with information (d, d) and right-hand side (d,) on numbers of the newest slab.
+
+        Args:
+            sums: Of all slabs, as they were eliminated.
+            at: Which numbers (d,).
+            info: Information on them.
+            rhs: Their right-hand side.
+        """
+        solution, last = np.empty((len(self), self.layout.size)), len(self) - 1
+        begin, end, across, rhs_begin, rhs_end = (each[last:] for each in sums.sums)
+        begin, rhs_begin = begin.copy(), rhs_begin.copy()
+        begin[0][np.ix_(at, at)] += info
+        rhs_begin[0, at] += rhs
+        memory = self._blocks, self._vectors, self._slot
+        eliminate(kernels.solve, *memory, last, begin, end, across, rhs_begin, rhs_end, solution)
+        return solution
+
+    def add(self, at: Index, info: Array, rhs: Array) -> None:
+        """Know more of numbers (d,) of the oldest slab: information (d, d), right-hand sides."""
+        self.info[np.ix_(at, at)] += info
+        self._vectors[BEHIND, self._slot[0], at] += rhs
+
     def respond(self, first: int, sums: NormalEquationsBuilder) -> Array:
         """The solution (K, D) for the right-hand side of other sums from slab `first` on.
 
