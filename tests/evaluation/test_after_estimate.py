@@ -6,11 +6,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando import GlissandoError, Grid, SensorParameter, estimate, load_robot, se3
+from glissando import (
+    BaseVariance,
+    GlissandoError,
+    Grid,
+    PoseReadings,
+    PositionReadings,
+    SensorParameter,
+    SeparablePrior,
+    estimate,
+    load_robot,
+    se3,
+)
 from glissando.evaluation.consistency import check_readings
 from glissando.evaluation.leave_out import _stretch, leave_out
 from glissando.evaluation.metrics import innovations
 from glissando.evaluation.plausibility.examine import after_estimate
+from glissando.evaluation.prior_predictive import PriorPredictive
 from glissando.evaluation.run import chosen_streams
 from glissando.io.recording_folder import load_recording
 from glissando.solver.gauss_newton import SolverOptions
@@ -76,6 +88,40 @@ def test_streams_left_out_accuse_a_biased_one_and_no_other():
         judged = {(c.quantity, c.site): c for c in leave_out(robot, grid, streams)}
         assert least < judged["by the others", "second"].mean < most
         assert judged["by other times", "coil"].nees.size > 30
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("memory", [1.0, np.inf])
+@pytest.mark.parametrize("kind", ["mount", "frame", "time_offset"])
+def test_streams_of_sensors_that_are_estimated_are_predicted_as_surely_as_they_are(kind, memory):
+    """Sessions drawn from the prior: sensor parameters go with states, and drift."""
+    spread = np.repeat([1e-8, 0.02], 3)
+    prior = SeparablePrior(spread, 3.0, BaseVariance(np.repeat([1e-8, 1e-6], 3), 2.0 * spread))
+    std = np.repeat([3e-3, 3e-2], 3) if kind != "time_offset" else np.array([0.05])
+    drift = () if kind == "time_offset" else (memory,)
+    own = SensorParameter("own", kind, ("tip",), np.zeros(std.size), std, *drift)
+    robot = replace(
+        load_robot("tdcr466"), prior=prior, length=0.4, arclength_nodes=np.linspace(0.0, 0.4, 5),
+        sensor_parameters=(own,), time_rate=4.0,
+    )  # fmt: skip
+    grid, cov = robot.grid(0.0, 6.0), np.repeat([2.5e-7, 2.5e-5], 3)
+    at = {"time": grid.time}
+    tip = PoseReadings(
+        **at, arclength=np.full(grid.time.size, 0.4), cov=cov, name="tip",
+        values=np.tile(np.eye(4), (grid.time.size, 1, 1)),
+    )  # fmt: skip
+    middle = PositionReadings(
+        **at, arclength=np.full(grid.time.size, 0.2), cov=cov[:3], name="middle",
+        values=np.zeros((grid.time.size, 3)),
+    )  # fmt: skip
+    predictive, found = PriorPredictive(robot, grid, [tip, middle]), {}
+    for seed in range(8):
+        session = predictive.draw(np.random.default_rng(seed))
+        for c in leave_out(robot, grid, session.readings):
+            found.setdefault((c.quantity, c.site), []).append(c.mean)
+    assert 0.7 < np.mean(found["by other times", "tip"]) < 1.4
+    assert 0.5 < np.mean(found["by the others", "tip"]) < 2.0
+    assert 0.5 < np.mean(found["by the prior", "tip"]) < 2.0
 
 
 @pytest.mark.slow

@@ -5,13 +5,14 @@ import json
 import numpy as np
 import pytest
 from rich.console import Console
+from scipy.stats import chi2
 
 from command_line import run
 from glissando.cli.check import _table
 from glissando.cli.main import main
 from glissando.cli.tables import site_table
 from glissando.evaluation.consistency import LEVELS, Consistency, check, effective_samples
-from glissando.evaluation.metrics import Errors
+from glissando.evaluation.metrics import Errors, pool
 
 
 def series(rng, count, rho, scale=1.0):
@@ -73,6 +74,26 @@ def test_sites_are_judged_alone_and_together_and_what_is_missing_is_left_out():
     assert found == [
         ("pose", "position"), ("point", "position"), ("all", "position"), ("pose", "rotation")
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("others", [2, 3])
+def test_rotations_of_coils_are_inside_together_as_often_as_alone(others):
+    """A coil shows no roll: two degrees of freedom, alone and beside truth that shows it."""
+    rng, none = np.random.default_rng(0), np.full(20_000, np.nan)
+    sites = [
+        Errors(f"s{dof}{k}", np.zeros(none.size), none, none, none, rng.chisquare(dof, none.size),
+               none, dof, np.arange(none.size))
+        for k, dof in enumerate((2, others))
+    ]  # fmt: skip
+    together = check(sites)[-1]
+    assert together.site == "all"
+    assert together.dof == others
+    assert together.mean == pytest.approx(1.0, abs=0.03)
+    pooled = pool(sites)
+    for level in LEVELS:
+        assert together.coverage(level) == pytest.approx(level, abs=0.01)
+        inside = pooled.nees_rotation <= chi2.ppf(level, pooled.dof_rotation)
+        assert np.mean(inside) == pytest.approx(level, abs=0.01)
 
 
 def test_a_long_name_folds_on_a_narrow_terminal_and_no_number(capsys):

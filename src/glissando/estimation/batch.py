@@ -108,6 +108,7 @@ def estimate_in_passing(
     initial_parameters: Sequence[tuple[SensorParameter, Array]] = (),
     dates: bool = True,
     gate: float | None = None,
+    keep_all: bool = False,
 ) -> Posterior:
     """A posterior on the way to another: nothing is checked, and nothing is warned of.
 
@@ -122,8 +123,10 @@ def estimate_in_passing(
         dates: Whether delays are known by what streams without one show, see `delays`, which costs
             as much as two iterations; else they are as sure as Gauss–Newton steps have them.
         gate: Chance below which the innovation of a reading refutes it; None uses them all.
+        keep_all: Whether sensor parameters of which no reading tells are in the posterior, too.
     """
-    problem = _Problem(prior, grid, readings, sensor_parameters, options, gate=gate, dates=dates)
+    given = prior, grid, readings, sensor_parameters, options
+    problem = _Problem(*given, gate=gate, dates=dates, keep_all=keep_all)
     return problem.placed((initial, initial_parameters))
 
 
@@ -139,6 +142,7 @@ class _Problem:
     progress: Progress | None = None
     gate: float | None = None
     dates: bool = True
+    keep_all: bool = False
     clock: Stopwatch = field(default_factory=Stopwatch)
 
     def placed(self, start: Start) -> Posterior:
@@ -201,7 +205,8 @@ class _Problem:
         readings = self.selected(used)
         progress, clock = self.progress, self.clock
         with one_thread():
-            located = locate(self.grid, readings, self.sensor_parameters)  # (16)
+            own = self.sensor_parameters
+            located = locate(self.grid, readings, own, keep_all=self.keep_all)  # (16)
             located = with_parameters(located, initial[1])
             start, before = initial[0], 0
             if start is None:

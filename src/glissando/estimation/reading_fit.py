@@ -13,6 +13,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
 from glissando.model.factors import Factors
 from glissando.model.sensors.readings import Readings
+from glissando.solver.block_tridiagonal import Marginals
 from glissando.solver.located_readings import locate
 from glissando.solver.measurement_factors import measurement_factors
 
@@ -26,7 +27,8 @@ class ReadingFit(Brief):
     Attributes:
         residual: Whitened residuals (M, r): of noise, an unsure place, and the bridge in time.
         explained: Covariance (M, r, r) in the same units that the estimate gives them, by its
-            states and its sensor parameters; delays, which motion dates and no reading, as known.
+            states and its sensor parameters; delays, which motion dates and no reading, as known
+            where readings of the stream were used.
         weight: Robust weights (M,) of the readings where they are used.
     """
 
@@ -53,15 +55,17 @@ class ReadingFit(Brief):
         return np.einsum("mi,mi->m", along / (left * (left + share)), along)
 
 
-def fit_of(posterior: Posterior, readings: Readings) -> ReadingFit:
+def fit_of(posterior: Posterior, readings: Readings, *, predicted: bool = False) -> ReadingFit:
     """How readings agree with an estimate, whether it used them or not.
 
     Args:
         posterior: The estimate.
         readings: Readings of one stream, corrected for known sensor parameters; those off the grid
             are judged at its end.
+        predicted: Whether none of the stream was used: what is not known of delays counts, too.
     """
     grid = posterior.grid
+    marginals = posterior.marginals if predicted else posterior.marginals_of_known_delays
     (readings,) = placed([readings], posterior)
     readings = readings.changed(
         arclength=np.clip(readings.arclength, grid.arclength[0], grid.arclength[-1]),
@@ -78,14 +82,14 @@ def fit_of(posterior: Posterior, readings: Readings) -> ReadingFit:
         at = posterior.prior, located, posterior.state, posterior.state
         for _, rows, batch in measurement_factors(*at):
             whitener = batch.terms.sqrt_info
-            cov = whitener @ _explained(posterior, batch) @ np.swapaxes(whitener, -1, -2)
+            cov = whitener @ _explained(posterior, marginals, batch) @ np.swapaxes(whitener, -1, -2)
             residual[first + rows] = batch.terms.whiten(batch.terms.residual)
             explained[first + rows] = 0.5 * (cov + np.swapaxes(cov, -1, -2))
             weight[first + rows] = batch.terms.robust_weights()
     return ReadingFit(residual, explained, weight)
 
 
-def _explained(posterior: Posterior, batch: Factors) -> Array:
+def _explained(posterior: Posterior, marginals: Marginals, batch: Factors) -> Array:
     """Covariance (M, r, r) of residuals by the numbers of the slabs at both ends of an interval."""
     count, inner = posterior.grid.shape
     size, dof = posterior.marginals.cov.shape[-1], posterior.state.dof
@@ -106,5 +110,4 @@ def _explained(posterior: Posterior, batch: Factors) -> Array:
         slopes[:, :, size - own.shape[2] :] += own
     slabs = np.stack([lower, np.minimum(lower + 1, count - 1)], axis=1)
     slopes = np.ascontiguousarray(slopes.transpose(0, 3, 1, 2))
-    marginals = posterior.marginals_of_known_delays
     return marginals.spread(slabs, np.zeros_like(slabs), slopes, np.zeros((m, r, r)))

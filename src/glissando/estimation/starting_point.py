@@ -95,6 +95,7 @@ def _coarsened(located: LocatedReadings) -> LocatedReadings | None:
         [_thinned(readings, time) for readings in located.streams],
         located.parameters.process.each,
         located.parameters.values[nodes],
+        keep_all=True,
     )
 
 

@@ -17,7 +17,7 @@ from glissando.estimation.posterior import Posterior
 from glissando.evaluation.metrics import Errors, innovations
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
-from glissando.model.quantiles import binomial_quantile, chi_square_quantile
+from glissando.model.quantiles import binomial_quantile, chi_square_of, chi_square_quantile
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 
@@ -127,9 +127,10 @@ def check(errors: Sequence[Errors]) -> list[Consistency]:
         sites = [c for e in errors if (c := _at_site(e, quantity)) is not None]
         out += sites
         if len(sites) > 1:
-            nees = np.concatenate([c.nees * (3.0 / c.dof) for c in sites])
+            dof = max(c.dof for c in sites)
+            nees = np.concatenate([chi_square_of(c.nees, c.dof, dof) for c in sites])
             effective = float(np.mean([c.effective for c in sites]))
-            out.append(Consistency("all", float("nan"), quantity, nees, 3, effective))
+            out.append(Consistency("all", float("nan"), quantity, nees, dof, effective))
     return out
 
 

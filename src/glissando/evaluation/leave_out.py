@@ -8,26 +8,24 @@ Gelman et al., Bayesian Data Analysis, chapter 6.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from glissando.errors import EstimateWarning, UnobservableError
-from glissando.estimation.batch import estimate
-from glissando.estimation.posterior import Posterior
-from glissando.estimation.reading_noise import reading_covariance
+from glissando.errors import UnobservableError
+from glissando.estimation.batch import estimate_in_passing
+from glissando.estimation.outliers import CHANCE
+from glissando.estimation.reading_fit import fit_of
 from glissando.evaluation.consistency import Consistency, effective_samples
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot
-from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
-from glissando.model.state import State
+from glissando.solver.gauss_newton import SolverOptions
 
 _STRETCHES = 8  # of time, every other of which is left out
 _ROWS = 400  # of a stream that are predicted
-_SLOPE = 1e-5  # step of difference quotients, in standard deviations
 
 Watch = Callable[[str, int, int], None]
 """Called before each estimate with what is left out, its number, and how many there are."""
@@ -91,66 +89,21 @@ def _judged(
 def _predicted(
     robot: Robot, grid: Grid, used: Sequence[Readings], left: Sequence[Readings]
 ) -> Iterator[tuple[Readings, Array]]:
-    """Each stream that is left out, and its squared prediction errors (M,) in their covariance."""
+    """Each stream that is left out, and its squared prediction errors (M,) in their covariance.
+
+    Sensor parameters are predicted with the states, also those that no reading used tells of.
+    """
     parameters = robot.sensor_parameters
     used = [r for r in used if len(r)]
-    names = {r.name for r in used}
-    own = [p for p in parameters if p.known or names & {*p.streams}]
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", EstimateWarning)
-            posterior = estimate(robot.prior, grid, used, sensor_parameters=own)
+        posterior = estimate_in_passing(
+            robot.prior, grid, used, parameters, SolverOptions(), gate=CHANCE, keep_all=True
+        )
     except UnobservableError:
         return
-    known = dict(_estimated(posterior))
+    known = [parameter for parameter in parameters if parameter.known]
     for r in left:
         if len(r):
             some = np.linspace(0, len(r) - 1, min(len(r), _ROWS)).round().astype(int)
-            yield r, _squared_errors(posterior, r.select(some), parameters, known)
-
-
-def _estimated(posterior: Posterior) -> Iterator[tuple[str, tuple[Array, Array]]]:
-    """Name of each estimated sensor parameter, with its value and covariance at mid time."""
-    for parameter, _ in posterior.sensor_parameters:
-        values, cov = posterior.parameter(parameter.name)
-        middle = len(values) // 2
-        yield parameter.name, (values[middle], cov[middle])
-
-
-def _squared_errors(
-    posterior: Posterior,
-    r: Readings,
-    parameters: Sequence[SensorParameter],
-    known: dict[str, tuple[Array, Array]],
-) -> Array:
-    """Squared errors (M,) of a prediction of readings with uncertain sensor parameters."""
-    grid = posterior.grid
-    own = [(p, *known.get(p.name, (p.value, np.diag(p.std**2)))) for p in parameters]
-    own = [each for each in own if r.name in each[0].streams]
-
-    def residual(values: Sequence[Array]) -> tuple[Array, Array]:
-        shifted = r
-        for (p, _, _), value in zip(own, values, strict=True):
-            shifted = p.shift(shifted, value)
-        place = np.clip(shifted.arclength, grid.arclength[0], grid.arclength[-1])
-        time = np.clip(shifted.time, grid.time[0], grid.time[-1])
-        at = posterior.at(place, time)
-        state = State(at.pose, at.strain, at.velocity)
-        slope = shifted.jacobian(state)
-        shifted = shifted.changed(arclength=place, time=time)
-        noise = reading_covariance(posterior, shifted, state, slope)
-        return shifted.residual(state), noise + slope @ at.cov @ np.swapaxes(slope, -1, -2)
-
-    centre = [value for _, value, _ in own]
-    error, cov = residual(centre)
-    for k, (p, value, its_cov) in enumerate(own):
-        std = np.sqrt(np.diagonal(its_cov))
-        columns = []
-        for i in np.flatnonzero(std > 0.0):
-            moved = [*centre]
-            moved[k] = value + _SLOPE * std[i] * np.eye(p.size)[i]
-            columns.append((residual(moved)[0] - error) / (_SLOPE * std[i]))
-        if columns:
-            slope, some = np.stack(columns, axis=-1), np.flatnonzero(std > 0.0)
-            cov = cov + slope @ its_cov[np.ix_(some, some)] @ np.swapaxes(slope, -1, -2)
-    return np.einsum("mi,mi->m", error, np.linalg.solve(cov, error[..., None])[..., 0])
+            fit = fit_of(posterior, corrected(r.select(some), known), predicted=True)
+            yield r, fit.squared(False, 0.0)

@@ -15,7 +15,7 @@ from glissando.estimation.reading_noise import StateSource, reading_covariance
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
-from glissando.model.quantiles import chi_square_quantile
+from glissando.model.quantiles import chi_square_of, chi_square_quantile
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import (
     CoilReadings,
@@ -192,6 +192,10 @@ def joined(errors: Sequence[Errors]) -> Errors:
 
 
 def pool(errors: Sequence[Errors]) -> Errors:
-    """All samples of all sites as one; rotations are scaled to three degrees of freedom."""
-    alike = [replace(e, nees_rotation=e.nees_rotation * (3.0 / e.dof_rotation)) for e in errors]
-    return replace(joined(alike), name="overall", dof_rotation=3)
+    """All samples of all sites as one; rotations are of the most degrees of freedom."""
+    dof = max(e.dof_rotation for e in errors)
+    alike = [
+        replace(e, nees_rotation=chi_square_of(e.nees_rotation, e.dof_rotation, dof))
+        for e in errors
+    ]
+    return replace(joined(alike), name="overall", dof_rotation=dof)
