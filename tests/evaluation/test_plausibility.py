@@ -11,6 +11,7 @@ from glissando import CoilReadings, GyroReadings, PoseReadings, load_robot, se3
 from glissando.errors import GlissandoError, ImplausibleError, OutsideGridError
 from glissando.evaluation.plausibility.examine import examine
 from glissando.evaluation.plausibility.finding import CHECKS, Finding, refuse
+from glissando.model.sensors.accelerometer import AccelerometerReadings
 from scenes import LENGTH, angular_velocity, arc
 
 RNG = np.random.default_rng(7)
@@ -212,6 +213,37 @@ def test_units_signs_and_axes_of_a_gyroscope_are_found(seed):
     assert "gyro" in found(robot, [tip, gyro.changed(values=factor * wrong)])
 
 
+@pytest.mark.parametrize("kind", ["pose", "coil"])
+@pytest.mark.parametrize("seed", range(4))
+def test_units_signs_and_axes_of_an_accelerometer_are_found(seed, kind):
+    rng = np.random.default_rng(seed)
+    tip, _, _ = moving(rng)
+    turn = se3.exp(np.concatenate([np.zeros(3), rng.uniform(-1.0, 1.0, 3)]))
+    seen, gravity = turn @ tip.values, np.array([0.0, 0.0, -9.81])
+    force = -np.einsum("mji,j->mi", seen[:, :3, :3], gravity)
+    force += rng.standard_normal(force.shape)
+    at = {"time": tip.time, "arclength": tip.arclength}
+    felt = AccelerometerReadings(**at, values=force, cov=1e-2, gravity=gravity, name="imu")
+    beside = tip.changed(values=seen)
+    if kind == "coil":
+        beside = CoilReadings(**at, values=seen, cov=np.full(5, 1e-6), name="beside")
+    robot = load_robot("tdcr466")
+
+    def said(values, **changes):
+        streams = [beside, felt.changed(values=values, **changes)]
+        found = [f for f in examine(robot, streams) if f.name == "accelerometer"]
+        return found[0].correction if found else ""
+
+    assert said(force) == ""
+    assert said(force / 9.80665).startswith("g,")
+    assert said(1e3 * force) == "mm/s²"
+    along = np.abs(np.mean(force[:, 2])) > 5.0  # a coil shows nothing of what pulls across it
+    if along or kind == "pose":
+        assert said(-force) == said(force, gravity=-gravity) == "with the wrong sign"
+    if kind == "pose":
+        assert "for x, y, z" in said(force[:, [1, 2, 0]])
+
+
 @pytest.mark.parametrize("share", [1e-3, 1.0, 1e3])
 def test_stated_noise_is_held_against_what_is_seen(share):
     tip, _, _ = moving(np.random.default_rng(1))
@@ -225,7 +257,7 @@ def test_a_check_that_is_allowed_is_left_out_and_others_stay(session):
     robot, (coil,), _, frames = session
     wrong = coil.changed(cov=1e6 * coil.cov, time=1e3 * coil.time)
     assert found(robot, [wrong], (), frames, allow=["noise"]).keys() == {"time-unit"}
-    with pytest.raises(GlissandoError, match="'nose' is no check; known: axes, base"):
+    with pytest.raises(GlissandoError, match="'nose' is no check; known: accelerometer, axes"):
         found(robot, [coil], allow=["nose"])
 
 

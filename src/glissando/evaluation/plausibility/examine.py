@@ -9,6 +9,7 @@ import numpy as np
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.reading_fit import fit_of
 from glissando.evaluation.plausibility.finding import Finding, require_known
+from glissando.evaluation.plausibility.gravity import check_accelerometers
 from glissando.evaluation.plausibility.lag import check_lag
 from glissando.evaluation.plausibility.noise import check_noise
 from glissando.evaluation.plausibility.poses import check_poses
@@ -76,6 +77,7 @@ def _examined(streams: Streams, window: tuple[float, float] | None) -> list[Find
         *check_sampling(streams.sensors, streams.truth),
         *check_noise(streams.sensors, streams.robot.length),
         *check_reach(streams),
+        *check_accelerometers(streams),
     ]
     if window is not None and streams.sensors:
         findings += check_grid(streams, window)

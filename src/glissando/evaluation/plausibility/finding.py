@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from glissando.errors import GlissandoError, ImplausibleError
 
 CHECKS = {
+    "accelerometer": "an accelerometer's unit, signs or axes against gravity",
     "axes": "coordinate axes swapped, mirrored, or turned against each other",
     "base": "readings that fit together but not on the robot's base",
     "clock": "streams whose times do not meet, or a clock that jumps",
