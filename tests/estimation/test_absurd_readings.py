@@ -1,5 +1,6 @@
 """Readings that no shape of the robot explains: a live loop outlives them, and soon."""
 
+import warnings
 from itertools import cycle
 
 import numpy as np
@@ -36,7 +37,7 @@ def strange(rng, time, length, count, wild):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:The window began again")
+@pytest.mark.filterwarnings("ignore:The window began again", "ignore:The estimate is")
 @pytest.mark.parametrize("seed", range(6))
 def test_no_reading_ends_a_loop_and_each_is_counted(seed):
     rng = np.random.default_rng(seed)
@@ -74,3 +75,26 @@ def test_a_tracker_in_another_frame_has_other_shapes_tried_rarely(monkeypatch):
         smoother.add(PoseReadings(**both, cov=1e-6, name="tip"))
         smoother.advance(0.1 * k)
     assert 1 <= len(tried) <= 4
+
+
+@pytest.mark.parametrize("name", ["tdcr466", "sliding700"])
+def test_a_robot_beyond_its_reach_is_said_to_be_so_once_and_does_not_fit(name):
+    """A coil in a frame 0.6 m off is followed as closely as a right one, and as sure."""
+    robot, rng = load_robot(name), np.random.default_rng(0)
+    std = np.sqrt(np.repeat([5e-7, 4e-5], [3, 2]))
+    bent = se3.exp(robot.length * np.array([0.0, 0.0, 1.0, 0.0, 1.0, 0.0]))
+    for off in (0.0, 0.6):
+        smoother, said = FixedLagSmoother(robot.prior, robot.arclength_nodes), []
+        for now in np.arange(30) / 30.0:
+            noise = np.append(std * rng.standard_normal(5), 0.0)
+            seen = bent @ se3.exp(noise)
+            seen[0, 3] += off
+            smoother.add(CoilReadings(
+                time=[now], arclength=[robot.length], values=seen[None], cov=std**2, name="coil"
+            ))  # fmt: skip
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                smoother.advance(now)
+            said += [str(each.message) for each in caught]
+        assert smoother.fits == (not off)
+        assert len([text for text in said if "beyond its reach" in text]) == bool(off)

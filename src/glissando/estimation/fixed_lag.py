@@ -8,7 +8,6 @@ Filtering and Smoothing* (2nd ed.), chapter 12.
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glissando._kernels.threads import one_thread
-from glissando.errors import FalseConfidenceWarning, OutsideGridError
+from glissando.errors import OutsideGridError
 from glissando.estimation.channels import place_in_channel
 from glissando.estimation.contact import ContactScan, force_variance, scan_of, with_forces
 from glissando.estimation.contact_evidence import ErrorPrior, error_priors, force_evidence
@@ -31,6 +30,7 @@ from glissando.estimation.given import (
     require_window,
 )
 from glissando.estimation.loads import require_mechanics
+from glissando.estimation.loop_doubt import LoopDoubt
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.shape_spread import ShapeSpread, spread_between
 from glissando.estimation.sliding_window import LostError, SlidingWindow
@@ -47,7 +47,6 @@ from glissando.solver.block_tridiagonal import Marginals
 
 _DATED = 4  # time nodes at least, where a delay is estimated: readings have to settle in them
 _BEYOND = 1.5  # times as far back, for slopes at the oldest node
-_RESTARTS = 10  # of a window, after which it is asked whether most times were such
 
 
 class FixedLagSmoother:
@@ -91,7 +90,7 @@ class FixedLagSmoother:
         self._late, others = delayed(sensor_parameters)
         self.lag = window = max(window, _DATED) if self._late else window
         self._steps = WindowSteps(self._window, window, gate)
-        self._advances, self._warned = 0, False
+        self._doubt = LoopDoubt(prior, self.arclength)
         self._errors: ErrorPrior | None = None  # of the window's first node, for contacts
         self._undelayed: WindowSteps | None = None  # the motion by which delays are known
         self._shown = prior.fixes_base
@@ -143,7 +142,7 @@ class FixedLagSmoother:
                 if self._shown:
                     self._undelayed.advance(time)
             self._steps.advance(time)
-            self._warn_of_restarts()
+            self._doubt.look(self._window.nodes.newest[0], self._steps.restarts)
             if self._steps.behind:
                 return self.at(self.arclength, time)
             return self._steps.newest()
@@ -157,21 +156,6 @@ class FixedLagSmoother:
         window = self._window
         self._steps.reach = window.longest_delay if window.started else 0.0
         undelayed.reach = self._steps.reach * _BEYOND
-
-    def _warn_of_restarts(self) -> None:
-        """Say once that belief fades from update to update, as with times in another unit."""
-        self._advances += 1
-        restarts = self._steps.restarts
-        if self._warned or restarts < _RESTARTS or 2 * restarts < self._advances:
-            return
-        self._warned = True
-        warnings.warn(
-            f"The window began again from rest at {restarts} of {self._advances} times: what was "
-            f"read is forgotten or contradicted by the next. Give times in seconds, not "
-            f"milliseconds, read more often, and check the readings' units, frames and mounts.",
-            FalseConfidenceWarning,
-            stacklevel=3,
-        )
 
     def newest(self) -> StateEstimate:
         """The newest state at the nodes (N,) with covariance (N, 18, 18)."""
@@ -313,8 +297,8 @@ class FixedLagSmoother:
 
     @property
     def fits(self) -> bool:
-        """Whether innovations of late are no larger than chance allows."""
-        return self._steps.gate.fits
+        """Whether innovations of late are as small as chance allows, the robot within its reach."""
+        return self._steps.gate.fits and not self._doubt.beyond
 
 
 def _merged(late: NDArray[np.bool_], early: StateEstimate, other: StateEstimate) -> StateEstimate:

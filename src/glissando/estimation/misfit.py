@@ -127,7 +127,11 @@ def breakdown(
     far = far_off(grid, prior, readings)
     if far is None and isinstance(error, UnobservableError):
         return _too_close(grid) or error
-    return far or UnreachableError("No shape of this robot comes near the readings.")
+    named = ", ".join(r.label for r in readings[:_NAMED])
+    return far or UnreachableError(
+        f"No shape of this robot comes near the readings ({named}). Check units (mm for m, degrees "
+        f"for radians), frames and the robot's length."
+    )
 
 
 def _too_close(grid: Grid) -> OutsideGridError | None:

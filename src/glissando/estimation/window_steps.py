@@ -285,10 +285,11 @@ class WindowSteps:
             prior, grid = self.window.prior, self.window.grid()
             streams = self.buffer.streams(-np.inf)
             far = None if self._explained else far_off(grid, prior, streams)
+            if prior.fixes_base:
+                self.update.refuse(fresh)
+                self._begin_again(newest, fresh)
             if far or not prior.fixes_base:
                 raise breakdown(again, grid, prior, streams) from again
-            self.update.refuse(fresh)
-            self._begin_again(newest, fresh)
 
     def _solve(self, first: int, fresh: Counter[str]) -> None:
         """Solve from a node on, with the new readings that the gate believes."""

@@ -11,13 +11,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from multiprocessing.process import BaseProcess
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, UnreachableError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry.se3 import Array
 from glissando.hardware.capture.child_process import blocked_signals, end_with_parent
@@ -116,6 +116,7 @@ def _estimate(rig: Rig, open_view: Any, show: Any, messages: Any, address: Any) 
                 smoother.add(reading)
                 now = float(reading.time[0])
                 if now >= due and messages.empty():  # else catch up first
-                    smoother.advance(now)
+                    with suppress(UnreachableError):  # the guard says so, the robot is at rest
+                        smoother.advance(now)
                     due = now + step
                     show(view, smoother)

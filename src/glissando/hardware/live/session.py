@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from glissando.errors import DeviceError, GlissandoError, ImplausibleError
+from glissando.errors import DeviceError, GlissandoError, ImplausibleError, UnreachableError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.hardware.live.clock import SessionClock
 from glissando.hardware.live.sinks import Sink
@@ -193,9 +193,13 @@ class LiveSession:
 
     def _update(self, number: int, due: float, arrived: list[Readings]) -> Update:
         began = time.perf_counter()
-        newest = self.smoother.advance(due)
-        computing = time.perf_counter() - began
         problems = [s.problem for s in self.sources] + [s.problem for s in self.sinks]
+        try:
+            newest = self.smoother.advance(due)
+        except UnreachableError as problem:  # readings in another unit: the robot is at rest
+            newest = self.smoother.newest()
+            problems.append(str(problem))
+        computing = time.perf_counter() - began
         update = Update(
             number, due, self.clock.stamp(due), self.arclength,
             self.smoother.at(self.arclength, due), newest, arrived, self.smoother,

@@ -1,0 +1,59 @@
+"""What an online estimate shows to be wrong with what it is given, said once."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from glissando.errors import FalseConfidenceWarning
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid
+from glissando.model.priors.prior import Prior
+from glissando.model.state import State
+
+_RESTARTS = 10  # of a window, after which it is asked whether most times were such
+_REACH, _AT_BASE = 1.4, 0.1  # arclengths and lengths from the base, beyond which no robot stretches
+
+
+class LoopDoubt:
+    """Doubts of a loop's readings.
+
+    Attributes:
+        beyond: Whether the newest state is beyond the robot's reach.
+    """
+
+    def __init__(self, prior: Prior, arclength: Array) -> None:
+        """Begin without a doubt."""
+        rest = prior.rest_state(Grid(arclength, [0.0])).pose[0, 0, :3, 3]
+        self._base, self._arclength = rest if prior.fixes_base else None, arclength
+        self._reach = _REACH * arclength + _AT_BASE * arclength[-1]
+        self._advances, self._forgets, self._astray, self.beyond = 0, False, False, False
+
+    def look(self, newest: State, restarts: int) -> None:
+        """Look at the newest nodes (N,) and at how often a window began anew until now."""
+        self._advances += 1
+        restarting = restarts >= _RESTARTS and 2 * restarts >= self._advances
+        if restarting and not self._forgets:
+            self._forgets = True
+            _warn(
+                f"The window began again from rest at {restarts} of {self._advances} times: what "
+                f"was read is forgotten or contradicted by the next. Give times in seconds, not "
+                f"milliseconds, read more often, and check the readings' units, frames and mounts."
+            )
+        place = newest.pose[:, :3, 3]
+        away = np.linalg.norm(place - (place[0] if self._base is None else self._base), axis=1)
+        excess = away - self._reach
+        worst, self.beyond = int(np.argmax(excess)), bool(excess.max() > 0.0)
+        if self.beyond and not self._astray:
+            self._astray = True
+            _warn(
+                f"The estimate is {away[worst]:.3g} m from the base at "
+                f"{self._arclength[worst]:.3g} m of the robot, beyond its reach: readings are in "
+                f"another unit (mm for m) or frame, or the base is elsewhere. Until that ends "
+                f"`fits` is False."
+            )
+
+
+def _warn(sentence: str) -> None:
+    warnings.warn(sentence, FalseConfidenceWarning, stacklevel=4)
