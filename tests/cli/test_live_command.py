@@ -79,8 +79,10 @@ def test_the_status_states_rate_latency_innovations_and_losses_beside_a_view(
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
+        (["--source", "nowhere"], "There is no source 'nowhere'; give igtl"),
+        (["--source", "simulate", "--robot", "tdcr466"], "is 0.466 m long and the robot of simul"),
         ([], "give --source"),
-        (["--source", "nowhere"], "No source says which robot"),
+        (["--source", "igtl://:1"], "No source says which robot"),
         (["--robot", "tdcr466", "--source", "nowhere"], "no source 'nowhere'"),
         (["--robot", "tdcr466", "--source", "igtl://:1", "--sink", "x"], "no sink 'x'"),
         (["--robot", "tdcr466", "--source", "igtl://:1", "--at", "x"], "NAME=METRES"),

@@ -101,6 +101,8 @@ def test_a_slide_goes_on_as_long_as_the_session(tmp_path):
         (("straight", "Z"), "no shape named 'Z' and no such file"),
         (("noise = [0.5, 2]", "at = [0.4]"), "slide's stroke would be 0.4 m"),
         (('"hold"', '"hodl"'), "slide is 'hodl'; give one of hold, oscillate, traverse"),
+        (("noise = [0.5, 2]", "stroke = [0.01, 0.02]"), "stroke changes nothing with slide = hold"),
+        (("noise = [0.5, 2]", "gyro = [1, 2]"), "gyro is not a key of this table"),
         (("stub.toml", "stab.toml"), "no robot named 'stab.toml' and no such file"),
         (("noise = [0.5, 2]", 'prior = ["tdcr466"]'), "prior 'tdcr466' is of a robot of 0.466 m"),
         (("seeds = 1", "seeds = 9999999"), "asks for 19,999,998 cells"),

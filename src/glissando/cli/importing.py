@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
+from shlex import quote
 
 from glissando.cli.outputs import require_writable, stated
 from glissando.cli.shared import Commands, add_command, chosen_robot, findings_in, names, warn
@@ -142,20 +143,22 @@ def _import_estimate(options: argparse.Namespace) -> int:
         counts = ", ".join(f"{count} {why}" for why, count in lost.items())
         print(f"{name}: {counts}, not judged")
     print(f"Wrote {options.out}: {rmse} RMSE against {judged}.")
-    print(f"Now: glissando report RUN {options.out}")
+    print(f"Now: glissando report RUN {quote(str(options.out))}")
     return 0
 
 
 def _next(folder: Path, recording: Recording, truth: bool) -> str:
     """What to do with a recording that was imported."""
+    given = quote(str(folder))
     unknown, used = sorted(recording.unknown_frames), recording.choose(None, None)[0]
     if not unknown and {recording.streams[name].rows.kind for name in used} == {"tendon"}:
-        return f"Now: glissando learn {folder} --robot {folder / 'robot.toml'} --out learned.toml"
+        robot = quote(str(folder / "robot.toml"))
+        return f"Now: glissando learn {given} --robot {robot} --out learned.toml"
     if not unknown:
-        return f"Now: glissando estimate {folder} --out results"
+        return f"Now: glissando estimate {given} --out results"
     where = f"Where the frame {' and '.join(unknown)} is in the world is not known"
     if truth:
-        return f"{where}. Now: glissando calibrate {folder}"
+        return f"{where}. Now: glissando calibrate {given}"
     file = folder / "recording.toml"
     return f"{where}: state it in {file}, or import motion capture with --truth."
 

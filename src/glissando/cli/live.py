@@ -28,7 +28,7 @@ from glissando.evaluation.plausibility.watch import Watch
 from glissando.hardware.capture import Rig, load_rig, simulated_rig
 from glissando.hardware.capture.child_process import blocked_signals, end_with_parent
 from glissando.hardware.live import LiveSession, Placement, Update
-from glissando.hardware.live.addresses import SINKS, SOURCES, sink_of, source_of
+from glissando.hardware.live.addresses import SINKS, SOURCES, require_source, sink_of, source_of
 from glissando.hardware.live.replanning import Replanning
 from glissando.hardware.live.rig_source import RigSource
 from glissando.hardware.live.sinks import Sink
@@ -75,6 +75,7 @@ something given was wrong.
 _SIMULATED = "simulate"  # the source that is a simulated rig
 _SOURCES = f"{SOURCES}, a rig's setup file, or {_SIMULATED}"
 _RECENT = 300  # updates that the status is of
+_SAME = 0.01  # of its length, by which files of one robot may differ
 _DAY = 86_400.0  # s that a slide is replanned at most
 _PLAIN, _TERMINAL = 5.0, 0.2  # s between statuses
 
@@ -209,12 +210,22 @@ def _robot(options: argparse.Namespace, rigs: dict[str, Rig]) -> Robot:
     if not options.source:
         raise GlissandoError(f"A live estimate needs readings; give --source: {_SOURCES}.")
     if options.robot:
-        return load_robot(options.robot)
+        given = load_robot(options.robot)
+        for text, rig in rigs.items():
+            own = load_robot(robot_file(rig.robot))
+            if abs(own.length - given.length) > _SAME * own.length:
+                raise GlissandoError(
+                    f"--robot {options.robot} is {given.length:g} m long and the robot of {text}, "
+                    f"{rig.robot}, {own.length:g} m; give a file of that robot."
+                )
+        return given
     for rig in rigs.values():
         return load_robot(robot_file(rig.robot))
     for folder in filter(lambda text: Path(text).is_dir(), options.source):
         if (robot := load_recording(folder).robot) is not None:
             return robot
+    for text in options.source:
+        require_source(text)
     raise GlissandoError("No source says which robot it is of; give --robot FILE or NAME.")
 
 

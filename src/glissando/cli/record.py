@@ -8,6 +8,7 @@ import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
+from shlex import quote
 
 from rich.console import Console
 from rich.live import Live
@@ -265,7 +266,7 @@ def _keep(rig: Rig, options: argparse.Namespace, *, quietly: bool = False) -> No
     if quietly:
         return
     counts = ", ".join(f"{len(t.messages)} {name}" for name, t in session.topics.items())
-    print(f"Wrote {folder}: {counts}. Now: glissando estimate {folder} --out results")
+    print(f"Wrote {folder}: {counts}. Now: glissando estimate {quote(str(folder))} --out results")
     for warning in warnings:
         print(f"  but {warning}")
     warn(findings_in(folder))

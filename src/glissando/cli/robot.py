@@ -6,6 +6,7 @@ import argparse
 import math
 import sys
 from pathlib import Path
+from shlex import quote
 
 from glissando.cli.shared import Commands, add_command, names
 from glissando.errors import GlissandoError
@@ -87,7 +88,7 @@ def _robot(options: argparse.Namespace) -> int:
             f"KIND:STREAM for what may be mounted a little off.",
             file=sys.stderr,
         )
-    print(f"Wrote {out}. Now: glissando estimate RECORDING --robot {out} --out results")
+    print(f"Wrote {out}. Now: glissando estimate RECORDING --robot {quote(str(out))} --out results")
     return 0
 
 

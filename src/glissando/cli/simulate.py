@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from shlex import quote
 
 from glissando.cli.outputs import require_writable
 from glissando.cli.progress import working
@@ -118,6 +119,6 @@ def _simulate(options: argparse.Namespace) -> int:
     rows, lasts = len(session.coil.time), session.duration
     print(
         f"Wrote {options.out}: {lasts:.3g} s, {rows} readings of the coil, {len(session.mocap)} "
-        f"motion capture frames. Now: glissando estimate {options.out} --out results"
+        f"motion capture frames. Now: glissando estimate {quote(str(options.out))} --out results"
     )
     return 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 
@@ -106,8 +107,8 @@ class Recording(Brief):
         if stream.frame in self.unknown_frames and not any(stream.name in s for s in estimated):
             raise RecordingError(
                 f"Stream {stream.name!r} is in the frame {stream.frame!r}, whose place in the "
-                f"world is not known: run glissando calibrate {self.folder}, which finds it from "
-                f"motion capture, with mount, delay and arclength, or state it in "
+                f"world is not known: run glissando calibrate {quote(str(self.folder))}, which "
+                f"finds it from motion capture, with mount, delay and arclength, or state it in "
                 f"[frames.{stream.frame}] of recording.toml."
             )
 

@@ -49,7 +49,7 @@ def _count(table: Table, key: str, default: int | None = None, *, least: int = 1
 
 
 _FACTOR = partial(_number, positive=False)
-_SCALED = [part for part in PARTS if part != "roll"]
+_SCALED = [part for part in PARTS if part not in ("roll", "gyro", "accelerometer")]  # of the coil
 _NOISE = [part for part in _SCALED if part not in ("mocap", "set")]
 
 SETTINGS: dict[str, tuple[Callable[[Table, str], Value], Value]] = {
@@ -73,6 +73,10 @@ SETTINGS: dict[str, tuple[Callable[[Table, str], Value], Value]] = {
 `robot` is simulated and `prior`, unless empty the same, a robot file estimated with. Lengths m,
 times s. `noise` scales every imperfection of the coil, and those after it one part each.
 """
+
+
+_MOVING = "oscillate", "traverse"
+_OF_SLIDES = {"at": ("hold",), "stroke": _MOVING, "speed": _MOVING, "cycles": _MOVING}
 
 
 @dataclass(frozen=True)
@@ -146,10 +150,21 @@ def load_study(file: Path) -> Study:
     both = sorted(set(fixed) & set(axes))
     if both:
         raise table.fail(both[0], "is in [fixed] and in [grid]; leave one of them.")
+    _require_effect(table, fixed, axes)
     study = Study(name, axes, fixed, range(first, first + seeds), file.resolve().parent)
     if len(study) > _MOST:
         raise StudyError(f"{file.name} asks for {len(study):,} cells; ask for {_MOST:,} at most.")
     return study
+
+
+def _require_effect(table: Table, fixed: dict[str, Value], axes: dict[str, list[Value]]) -> None:
+    """Refuse settings that change nothing, whose results would look as if they did not matter."""
+    slides = axes.get("slide") or [fixed.get("slide", SETTINGS["slide"][1])]
+    for key in (*fixed, *axes):
+        of = _OF_SLIDES.get(key, ())
+        if of and not {*of} & {*slides}:
+            named = ", ".join(map(str, slides))
+            raise table.fail(key, f"changes nothing with slide = {named}: leave it out.")
 
 
 def _read(table: Table, read: Callable[[Table, str], Any]) -> dict[str, Any]:

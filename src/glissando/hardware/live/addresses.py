@@ -30,13 +30,19 @@ def source_of(text: str, robot: Robot, placements: Sequence[Placement] = ()) -> 
     Raises:
         GlissandoError: It names none.
     """
+    require_source(text)
     if text.startswith("igtl"):
         return IgtlSource(text, robot, placements)
     if text.partition("?")[0] == "ros2":
         return Ros2Source(text, robot, placements)
-    if Path(text).is_dir():
-        return RecordingSource(text, robot)
-    raise GlissandoError(f"There is no source {text!r}; give {SOURCES}.")
+    return RecordingSource(text, robot)
+
+
+def require_source(text: str) -> None:
+    """Raise GlissandoError unless a text names a source, one of `SOURCES`."""
+    named = text.startswith("igtl") or text.partition("?")[0] == "ros2" or Path(text).is_dir()
+    if not named:
+        raise GlissandoError(f"There is no source {text!r}; give {SOURCES}.")
 
 
 def sink_of(text: str) -> Sink:
