@@ -66,17 +66,20 @@ def accelerated(
     step = np.diff(grid.time)[k]
     edge = _NEAR * step
     inside = np.clip(time, grid.time[k] + 2.0 * edge, grid.time[k + 1] - 2.0 * edge)
+    ends = inside - edge, inside + edge
+    apart = ends[1] - ends[0]  # as times round
     early, at, late = (
-        _interpolated(prior, grid, state, noise_state, arclength, inside + part * edge)
-        for part in (-1.0, 0.0, 1.0)
+        _interpolated(prior, grid, state, noise_state, arclength, when)
+        for when in (ends[0], inside, ends[1])
     )
-    rate = (late.state.velocity - early.state.velocity) / (2.0 * edge)[:, None]
+    rate = (late.state.velocity - early.state.velocity) / apart[:, None]
     slope = late.jacobian[:, VELOCITY] - early.jacobian[:, VELOCITY]
-    slope = slope / (2.0 * edge)[:, None, None, None]
+    slope = slope / apart[:, None, None, None]
     place = grid.arclength[grid.locate(arclength, time)[0].nearest]
-    soon = _interpolated(prior, grid, state, noise_state, place, grid.time[k] + edge).cov
+    after = grid.time[k] + edge
+    soon = _interpolated(prior, grid, state, noise_state, place, after).cov
     crossing = _interpolated(prior, grid, state, noise_state, arclength, grid.time[k]).cov
-    share = 1.0 / (edge * np.minimum(span, step)), 2.0 / step**2
+    share = 1.0 / ((after - grid.time[k]) * np.minimum(span, step)), 2.0 / step**2
     left, between = (
         part[:, None, None] * cov[:, VELOCITY, VELOCITY]
         for part, cov in zip(share, (soon, crossing), strict=True)
