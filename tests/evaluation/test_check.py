@@ -11,7 +11,8 @@ from command_line import run
 from glissando.cli.check import _table
 from glissando.cli.main import main
 from glissando.cli.tables import site_table
-from glissando.evaluation.consistency import LEVELS, Consistency, check, effective_samples
+from glissando.evaluation.consistency import LEVELS, Consistency, check
+from glissando.evaluation.effective_samples import effective_errors, effective_samples
 from glissando.evaluation.metrics import Errors, pool
 
 
@@ -34,6 +35,41 @@ def test_effective_samples_are_those_of_the_correlation(rho):
     found = np.median([effective_samples(series(rng, 4000, rho)) for _ in range(20)])
     expected = 4000 * (1.0 - rho**2) / (1.0 + rho**2)
     assert found == pytest.approx(expected, rel=0.15)
+
+
+def lasting(rng, share, count=400):
+    """White errors (M, 3) of which a share of the variance is the same at all times."""
+    return np.sqrt(share) * rng.standard_normal(3) + np.sqrt(1.0 - share) * rng.standard_normal(
+        (count, 3)
+    )
+
+
+@pytest.mark.parametrize(("share", "most"), [(0.0, 0.1), (0.25, 0.35), (0.9, 0.25)])
+def test_errors_that_last_are_worth_few_samples(share, most):
+    """Their squares vary little about their own mean, which is another in each recording."""
+    rng, none, wrong = np.random.default_rng(0), np.full(400, np.nan), 0
+    found = []
+    for _ in range(100):
+        white = lasting(rng, share)
+        errors = Errors("site", np.zeros(400), none, none, np.sum(white**2, axis=1), none, none,
+                        white_position=white)  # fmt: skip
+        (judged,) = check([errors])
+        found.append(judged.effective)
+        wrong += judged.verdict != "true"
+    assert wrong <= 100 * most
+    assert np.median(found) < (1.5 / share**2 if share else 401.0)
+    assert share or np.median(found) > 300.0
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.8, 0.97])
+def test_squares_of_errors_are_worth_what_their_correlation_says(rho):
+    rng, found = np.random.default_rng(0), []
+    for _ in range(20):
+        steps = rng.standard_normal((4000, 3))
+        for k in range(1, 4000):
+            steps[k] = rho * steps[k - 1] + np.sqrt(1.0 - rho**2) * steps[k]
+        found.append(effective_errors(steps))
+    assert np.median(found) == pytest.approx(4000 * (1.0 - rho**2) / (1.0 + rho**2), rel=0.15)
 
 
 def test_a_constant_series_is_worth_one_sample():

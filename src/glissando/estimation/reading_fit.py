@@ -54,6 +54,12 @@ class ReadingFit(Brief):
         along = np.einsum("mji,mj->mi", axes, self.residual)
         return np.einsum("mi,mi->m", along / (left * (left + share)), along)
 
+    def white(self) -> Array:
+        """Innovations (M, r) of readings that were not used, in units of their covariance."""
+        share, axes = np.linalg.eigh(self.explained)
+        along = np.einsum("mji,mj->mi", axes, self.residual) / np.sqrt(1.0 + share)
+        return np.einsum("mij,mj->mi", axes, along)
+
 
 def fit_of(posterior: Posterior, readings: Readings, *, predicted: bool = False) -> ReadingFit:
     """How readings agree with an estimate, whether it used them or not.

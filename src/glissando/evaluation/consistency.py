@@ -1,8 +1,7 @@
 """Whether confidence is true: normalised errors and coverage, with their bounds if it is.
 
 Neighbouring errors are correlated, so a thousand samples may be worth ten. All bounds are for the
-effective number of samples, from the autocorrelation of the normalised errors (initial positive
-sequence, Geyer 1992).
+effective number of samples, see `effective_samples`.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from glissando.estimation.posterior import Posterior
+from glissando.evaluation.effective_samples import effective_errors, effective_samples
 from glissando.evaluation.metrics import Errors, innovations
 from glissando.geometry.se3 import Array
 from glissando.model.brief import Brief
@@ -98,22 +98,6 @@ class Consistency(Brief):
         }
 
 
-def effective_samples(values: Array) -> float:
-    """Number of independent samples that a series (M,) is worth, from 1 to M."""
-    count = values.size
-    centred = values - values.mean()
-    if count < 4 or not np.any(np.abs(centred) > 1e-12 * (1.0 + np.abs(values).max())):
-        return 1.0
-    size = 1 << (2 * count - 1).bit_length()
-    spectrum = np.fft.rfft(centred, size)
-    rho = np.fft.irfft(np.abs(spectrum) ** 2, size)[:count]
-    rho /= rho[0]
-    pairs = rho[0 : count - 1 : 2] + rho[1:count:2]
-    negative = np.flatnonzero(pairs <= 0.0)
-    positive = pairs[: negative[0]] if negative.size else pairs
-    return float(np.clip(count / max(2.0 * positive.sum() - 1.0, 1e-12), 1.0, count))
-
-
 def check(errors: Sequence[Errors]) -> list[Consistency]:
     """Consistency of position and rotation at every site, then of all sites together.
 
@@ -160,7 +144,12 @@ def _at_site(errors: Errors, quantity: str) -> Consistency | None:
     if nees.size == 0:
         return None
     dof = errors.dof_rotation if quantity == "rotation" else 3
-    return _consistency(errors.name, errors.arclength, quantity, nees, dof)
+    white = getattr(errors, f"white_{quantity}")
+    worth = effective_samples(nees)
+    if len(white) == nees.size:
+        worth = min(worth, effective_errors(white))
+    place = float(np.mean(errors.arclength))
+    return Consistency(errors.name, place, quantity, nees, dof, worth)
 
 
 def _consistency(site: str, arclength: Array, quantity: str, nees: Array, dof: int) -> Consistency:

@@ -16,7 +16,8 @@ from glissando.errors import UnobservableError
 from glissando.estimation.batch import estimate_in_passing
 from glissando.estimation.outliers import CHANCE
 from glissando.estimation.reading_fit import fit_of
-from glissando.evaluation.consistency import Consistency, effective_samples
+from glissando.evaluation.consistency import Consistency
+from glissando.evaluation.effective_samples import effective_errors, effective_samples
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot
@@ -62,8 +63,8 @@ def leave_out(
         if watch is not None:
             names = ", ".join(r.label for r in left) if quantity == "by the others" else "stretches"
             watch(names if quantity != "by the prior" else "all", number, len(jobs))
-        for r, nees in _predicted(robot, grid, used, left):
-            errors.setdefault((quantity, r.label), []).append(nees)
+        for r, white in _predicted(robot, grid, used, left):
+            errors.setdefault((quantity, r.label), []).append(white)
     return list(_judged(errors, {r.label: r for r in streams}))
 
 
@@ -79,8 +80,12 @@ def _judged(
     errors: dict[tuple[str, str], list[Array]], streams: dict[str, Readings]
 ) -> Iterator[Consistency]:
     for (quantity, name), parts in errors.items():
-        nees = np.concatenate(parts)
-        worth = sum(effective_samples(part) for part in parts)
+        squares = [np.sum(part**2, axis=1) for part in parts]
+        worth = sum(
+            min(effective_samples(square), effective_errors(part))
+            for square, part in zip(squares, parts, strict=True)
+        )
+        nees = np.concatenate(squares)
         r = streams[name]
         place = float(np.mean(r.arclength))
         yield Consistency(name, place, quantity, nees, r.row_count, worth)
@@ -89,7 +94,7 @@ def _judged(
 def _predicted(
     robot: Robot, grid: Grid, used: Sequence[Readings], left: Sequence[Readings]
 ) -> Iterator[tuple[Readings, Array]]:
-    """Each stream that is left out, and its squared prediction errors (M,) in their covariance.
+    """Each stream that is left out, and its prediction errors (M, r) in units of their covariance.
 
     Sensor parameters are predicted with the states, also those that no reading used tells of.
     """
@@ -106,4 +111,4 @@ def _predicted(
         if len(r):
             some = np.linspace(0, len(r) - 1, min(len(r), _ROWS)).round().astype(int)
             fit = fit_of(posterior, corrected(r.select(some), known), predicted=True)
-            yield r, fit.squared(False, 0.0)
+            yield r, fit.white()

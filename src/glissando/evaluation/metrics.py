@@ -45,6 +45,8 @@ class Errors(Brief):
             drawn; the noise of truth makes them larger.
         dof_rotation: Degrees of freedom of the latter: 3, or 2 for a coil, which shows no roll.
         time: Times (M,), s.
+        white_position: Position errors (M, 3) in units of their covariance, if they are kept.
+        white_rotation: Rotation errors (M, r) in units of theirs.
     """
 
     name: str
@@ -56,6 +58,8 @@ class Errors(Brief):
     sigmas: Array
     dof_rotation: int = 3
     time: Array = field(default_factory=lambda: np.zeros(0))
+    white_position: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    white_rotation: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def summary(self) -> dict[str, float | None]:
         """RMSEs, NEES per degree of freedom, and the share inside the 95 % ellipsoid."""
@@ -114,7 +118,7 @@ def errors_against(estimate: StateSource, truth: Readings) -> Errors:
     body = estimate.at(truth.arclength, truth.time)
     at = body.pose @ truth.mount
     position, nees_position, sigmas, rotation, nees_rotation = np.full((5, len(truth)), np.nan)
-    dof = 2 if isinstance(truth, CoilReadings) else 3
+    dof, white = 2 if isinstance(truth, CoilReadings) else 3, [np.zeros((0, 3)), np.zeros((0, 3))]
     if not isinstance(truth, OrientationReadings):
         where = truth.values[:, :3, 3] if truth.values.ndim == 3 else truth.values
         error = np.einsum("mji,mj->mi", at[:, :3, :3], where - at[:, :3, 3])
@@ -123,6 +127,7 @@ def errors_against(estimate: StateSource, truth: Readings) -> Errors:
             own = np.swapaxes(at[:, :3, :3], -1, -2) @ own @ at[:, :3, :3]
         cov = body.position_covariance(truth.mount)
         position, nees_position = np.linalg.norm(error, axis=1), _squared(error, cov + own)
+        white[0] = _white(error, cov + own)
         sigmas = np.sqrt(_squared(error, cov + _LEAST_VARIANCE * np.eye(3)))
     if truth.values.ndim == 3:
         error = _rotation_error(at[:, :3, :3], truth)
@@ -130,8 +135,9 @@ def errors_against(estimate: StateSource, truth: Readings) -> Errors:
         turn = np.swapaxes(truth.mount[..., :3, :3], -1, -2)[..., :dof, :]
         cov = turn @ body.cov[:, 3:6, 3:6] @ np.swapaxes(turn, -1, -2) + own
         rotation, nees_rotation = np.linalg.norm(error, axis=1), _squared(error, cov)
+        white[1] = _white(error, cov)
     numbers = position, rotation, nees_position, nees_rotation, sigmas
-    return Errors(truth.label, truth.arclength, *numbers, dof, truth.time)
+    return Errors(truth.label, truth.arclength, *numbers, dof, truth.time, *white)
 
 
 def prediction_scores(estimate: StateSource, readings: Readings) -> Array:
@@ -152,6 +158,12 @@ def prediction_scores(estimate: StateSource, readings: Readings) -> Array:
 def _squared(error: Array, cov: Array) -> Array:
     """Squared Mahalanobis lengths (M,) of errors (M, r)."""
     return np.einsum("mi,mi->m", error, np.linalg.solve(cov, error[..., None])[..., 0])
+
+
+def _white(error: Array, cov: Array) -> Array:
+    """Errors (M, r) in units of their covariance."""
+    root = np.linalg.cholesky(np.broadcast_to(cov, (*error.shape, error.shape[1])))
+    return np.asarray(np.linalg.solve(root, error[..., None])[..., 0])
 
 
 def innovations(posterior: Posterior, readings: Readings) -> Array:
@@ -188,6 +200,10 @@ def joined(errors: Sequence[Errors]) -> Errors:
     """Errors of one stream, one part after another; its name is the first part's."""
     arrays = ("arclength", "position", "rotation", "nees_position", "nees_rotation", "time")
     parts: dict[str, Any] = {n: np.concatenate([getattr(e, n) for e in errors]) for n in arrays}
+    for name in ("white_position", "white_rotation"):
+        each = [getattr(e, name) for e in errors]
+        alike = len({white.shape[1] for white in each}) == 1
+        parts[name] = np.concatenate(each) if alike else np.zeros((0, 3))
     return replace(errors[0], **parts)
 
 
