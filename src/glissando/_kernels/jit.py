@@ -122,9 +122,11 @@ def load(*modules: str) -> None:
         modules: Modules whose kernels are made callable, compiled side by side.
     """
     with _LOCK:
+        kernels = [k for k in _KERNELS if k.signatures and not k.ready and k.module in modules]
+        if not kernels:
+            return
         keep_freed_memory()
         folder = _dispatchers()
-        kernels = [k for k in _KERNELS if k.signatures and not k.ready and k.module in modules]
         _compile_once(sorted(kernels, key=lambda kernel: -kernel.work()), folder)
         for kernel in kernels:
             kernel.ready = True
