@@ -16,6 +16,8 @@ from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 from glissando.model.sensors.parameter_process import EstimatedParameters
 
+_ROUNDING = 1e-13  # of a diagonal entry of the information
+
 
 class DelayCounting:
     """What is known of delays by readings that left a window, and what counts of later ones."""
@@ -76,11 +78,9 @@ class DelayCounting:
         lower, rhs = known
         info = np.tril(lower) + np.tril(lower, -1).T
         others = np.setdiff1d(np.arange(len(rhs)), at)
-        across = info[np.ix_(others, at)]
-        solved = cho_solve(
-            cho_factor(info[np.ix_(others, others)], lower=True),
-            np.column_stack([across, rhs[others]]),
-        )
+        across, own = info[np.ix_(others, at)], info[np.ix_(others, others)]
+        own += _ROUNDING * np.diag(np.diagonal(own))
+        solved = cho_solve(cho_factor(own, lower=True), np.column_stack([across, rhs[others]]))
         of_delays = info[np.ix_(at, at)] - across.T @ solved[:, :-1]
         values = start + np.linalg.solve(of_delays, rhs[at] - across.T @ solved[:, -1])
         more, more_rhs = self.correction(time, values, of_delays, start, shares)
