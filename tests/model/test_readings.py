@@ -81,6 +81,10 @@ UNHEARD = {
     "loss is 'huber'; give Huber": (PositionReadings, {"values": POINTS, "loss": "huber"}),
     "loss is <class .*Huber'>; give Huber": (PositionReadings, {"values": POINTS, "loss": Huber}),
     r"time is \['a'\]; give numbers": (PositionReadings, {"values": POINTS, "time": ["a"]}),
+    "time is float32, which rounds 1.7e.09 s to 1.3e.02 s; give float64": (
+        PositionReadings,
+        {"values": POINTS, "time": np.full(3, 1.7e9, dtype=np.float32)},
+    ),
     "arclength_std is 'a'": (PositionReadings, {"values": POINTS, "arclength_std": "a"}),
     "slide_speed is 'a'": (PositionReadings, {"values": POINTS, "slide_speed": "a"}),
 }

@@ -25,6 +25,7 @@ from glissando.model.sensors.given_arrays import numbers, require_rotations
 from glissando.model.state import DOF, State
 from glissando.model.tendons.channel import Channel
 
+_ROUNDED = 1e-3  # s by which times may not round
 _EACH = ("time", "arclength", "values")
 _ONE_OR_EACH = (  # fields and dimensions of one
     *(("cov", 2), ("mount", 2), ("arclength_std", 0), ("slide_speed", 0), ("slide_way", 0)),
@@ -156,6 +157,7 @@ class Readings(Brief):
         raise NotImplementedError(f"{cls.__name__} must define values_at(pose) to be planned for.")
 
     def __post_init__(self) -> None:
+        self._require_digits()
         for given in ("time", "arclength", "values"):
             array = numbers(self.label, given, getattr(self, given))
             object.__setattr__(self, given, array)
@@ -200,6 +202,17 @@ class Readings(Brief):
                 f"{self.label}: {len(self.cov)} covariances for {len(self)} readings; give one, "
                 f"or one a reading."
             )
+
+    def _require_digits(self) -> None:
+        """Refuse times of a type that rounds them by more than sensors are late."""
+        time = np.asarray(self.time)
+        if time.dtype.kind == "f" and time.dtype.itemsize < 8 and time.size:
+            rounded = float(np.spacing(np.abs(time).max()))
+            if not rounded < _ROUNDED:
+                raise SensorError(
+                    f"{self.label}: time is {time.dtype}, which rounds {np.abs(time).max():.6g} s "
+                    f"to {rounded:.2g} s; give float64."
+                )
 
     def _require_heard(self) -> None:
         """Raise SensorError for what is stated and would change nothing, and for a loss of none."""
