@@ -11,10 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glissando.errors import UnobservableError
 from glissando.estimation.batch import estimate_in_passing
 from glissando.estimation.outliers import CHANCE
+from glissando.estimation.posterior import Posterior
 from glissando.estimation.reading_fit import fit_of
 from glissando.evaluation.consistency import Consistency
 from glissando.evaluation.effective_samples import effective_errors, effective_samples
@@ -26,6 +28,9 @@ from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import SolverOptions
 
 _STRETCHES = 8  # of time, every other of which is left out
+_CURVED = (
+    0.2  # rad of a cross-section's axis, beyond which shapes are not spread as a covariance says
+)
 _ROWS = 400  # of a stream that are predicted
 
 Watch = Callable[[str, int, int], None]
@@ -96,7 +101,8 @@ def _predicted(
 ) -> Iterator[tuple[Readings, Array]]:
     """Each stream that is left out, and its prediction errors (M, r) in units of their covariance.
 
-    Sensor parameters are predicted with the states, also those that no reading used tells of.
+    Sensor parameters are predicted with the states, also those that no reading used tells of. What
+    is predicted too vaguely is not judged.
     """
     parameters = robot.sensor_parameters
     used = [r for r in used if len(r)]
@@ -110,5 +116,15 @@ def _predicted(
     for r in left:
         if len(r):
             some = np.linspace(0, len(r) - 1, min(len(r), _ROWS)).round().astype(int)
-            fit = fit_of(posterior, corrected(r.select(some), known), predicted=True)
-            yield r, fit.white()
+            part = corrected(r.select(some), known)
+            part = part.select(~_is_curved(posterior, part))
+            if len(part):
+                yield r, fit_of(posterior, part, predicted=True).white()
+
+
+def _is_curved(posterior: Posterior, r: Readings) -> NDArray[np.bool_]:
+    """Which readings (M,) are predicted so vaguely that a covariance does not describe it."""
+    grid = posterior.grid
+    place = np.clip(r.arclength, grid.arclength[0], grid.arclength[-1])
+    cov = posterior.at(place, np.clip(r.time, grid.time[0], grid.time[-1])).cov
+    return np.asarray(np.sqrt(cov[:, 3, 3] + cov[:, 4, 4]) > _CURVED)
