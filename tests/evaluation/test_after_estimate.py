@@ -87,7 +87,7 @@ def test_streams_left_out_accuse_a_biased_one_and_no_other():
         streams = [readings[0], readings[1], other.inside(grid)]
         judged = {(c.quantity, c.site): c for c in leave_out(robot, grid, streams)}
         assert least < judged["by the others", "second"].mean < most
-        assert judged["by other times", "coil"].nees.size > 30
+        assert 20 < judged["by other times", "coil"].nees.size < 41  # some are too vague
 
 
 @pytest.mark.slow
