@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from glissando import load_robot
 from glissando.errors import SensorError
 from glissando.geometry import se3
 from glissando.io.journal import Journal
@@ -21,6 +22,20 @@ def _pose(*times):
     return PoseReadings(
         values=np.tile(np.eye(4), (len(times), 1, 1)), cov=np.ones(6), **_at(*times)
     )
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_the_robot_is_named_or_its_file_kept_beside(tmp_path, own):
+    robot = load_robot("tdcr466")
+    if own:
+        file = tmp_path / "mine.toml"
+        file.write_text(robot.file.read_text(encoding="utf-8"), encoding="utf-8")
+        robot = load_robot(file)
+    with Journal(tmp_path / "log", robot=robot) as journal:
+        journal.write(_pose(0.0, 0.5))
+    read = load_recording(tmp_path / "log").robot
+    assert read.file == (tmp_path / "log" / "robot.toml" if own else robot.file)
+    assert read.length == robot.length
 
 
 GYRO = GyroReadings(values=np.zeros((1, 3)), cov=np.ones(3), **_at(0.5))

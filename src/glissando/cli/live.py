@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 from rich.console import Console
@@ -291,5 +292,8 @@ class _Status:
     def summary(self) -> str:
         """What there was in all, as a sentence."""
         session, losses = self._session, self._losses()
-        journal = "" if session.journal_folder is None else f" Journal: {session.journal_folder}."
-        return f"{self._count} updates{f' ({losses})' if losses else ''}.{journal}"
+        said = f"{self._count} updates{f' ({losses})' if losses else ''}."
+        if session.journal_folder is None:
+            return said
+        folder = quote(str(session.journal_folder))
+        return f"{said} Journal: {folder}. Now: glissando estimate {folder} --out results"

@@ -181,7 +181,7 @@ def replay(
         run.through(readings, times, wait=real_time)
     else:
         times = rest[1]
-        with Journal(journal, recording.name) as log:
+        with Journal(journal, recording.name, robot) as log:
             store_request(journal, request)
             run.through(*rest, log, wait=real_time)
     return Replay(

@@ -20,8 +20,9 @@ from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_text
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.plain_file import file_stem
-from glissando.io.recording_writer import describe_recording, describe_stream
+from glissando.io.recording_writer import describe_recording, describe_stream, named_in
 from glissando.io.toml_table import read_toml
+from glissando.model.robot import Robot
 from glissando.model.sensors.readings import SENSORS, Readings
 
 try:
@@ -38,12 +39,15 @@ class Journal:
     Args:
         folder: The folder.
         name: Name of a new recording.
+        robot: The robot that a new recording names; a file of its own is copied into the folder.
 
     Raises:
         RecordingError: The folder holds something else, or another program writes to it.
     """
 
-    def __init__(self, folder: str | Path, name: str = "journal") -> None:
+    def __init__(
+        self, folder: str | Path, name: str = "journal", robot: Robot | None = None
+    ) -> None:
         self.folder = Path(folder)
         self._described = self.folder / "recording.toml"
         self._files: dict[str, BinaryIO] = {}
@@ -60,7 +64,8 @@ class Journal:
         self._lock = _locked(self.folder)
         try:
             if not self._described.exists():
-                self._describe(describe_recording(name, journal=True))
+                named = named_in(self.folder, robot.file) if robot and robot.file else ""
+                self._describe(describe_recording(name, named, journal=True))
             self._kinds = self._read_description()
             for path in self.folder.glob("*.csv"):
                 _cut_unfinished(path)

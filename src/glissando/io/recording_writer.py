@@ -17,7 +17,11 @@ from glissando.io.atomic_file import write_text
 from glissando.io.csv_stream import Stream, write_named
 from glissando.io.plain_file import file_stem
 from glissando.io.provenance import made_by, stated_format
+from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.model.table import pose_table
+
+ROBOT = "robot.toml"
+"""A robot's file in the folder of a recording."""
 
 
 def write_streams(
@@ -45,8 +49,8 @@ def write_streams(
         RecordingError: The name of a stream cannot be that of a file.
     """
     if isinstance(robot, Path):
-        shutil.copy(robot, building / "robot.toml")
-        robot = "robot.toml"
+        shutil.copy(robot, building / ROBOT)
+        robot = ROBOT
     text = describe_recording(name, robot, **more)
     for frame, pose in (frames or {}).items():
         text += (
@@ -69,6 +73,14 @@ _UNKNOWN = (
     "# glissando calibrate finds it from motion capture; else state position and quaternion (w, x, "
     "y, z).\nunknown = true\n"
 )
+
+
+def named_in(folder: Path, robot: Path) -> str:
+    """How a recording names a robot's file: a shipped one by name, another by a copy beside it."""
+    if robot.stem in shipped_robots() and robot.samefile(robot_file(robot.stem)):
+        return robot.stem
+    write_text(folder / ROBOT, robot.read_text(encoding="utf-8"))
+    return ROBOT
 
 
 def describe_recording(name: str, robot: str = "", **more: Any) -> str:

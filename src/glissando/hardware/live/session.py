@@ -99,7 +99,7 @@ class LiveSession:
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             if self.journal_folder is not None:
-                journal = Journal(self.journal_folder, self.journal_folder.name)
+                journal = Journal(self.journal_folder, self.journal_folder.name, self.robot)
                 self._journal = stack.enter_context(journal)
                 if journal.streams:
                     raise GlissandoError(
