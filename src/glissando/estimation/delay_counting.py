@@ -1,10 +1,11 @@
 """Online: of what readings tell of delays only a share counts, while states depend on them in full.
 
 A reading depends on its delay d by the slope of an estimated motion, of which a share is noise, see
-`slope_share`. That p(x | d) is right however noisy the slope, and with a delay held as known what
-left the window would for ever speak for that value. So the joint density stays p(x | d) p(d), and
-of what readings tell p(d) only the share is counted: by adding information on d alone, which is
-negative. What was counted when its readings left the window is not judged again.
+`slope_share`. States given a delay, p(x | d), hold all the same; what readings tell of the delay
+itself is noise by that share. So the joint density stays p(x | d) p(d), and information on d alone,
+which is negative, takes off p(d) what does not count. Were d held at a value until some counts, the
+readings that left the window by then would speak for that value ever after. What counted when its
+readings left the window is not judged again.
 """
 
 from __future__ import annotations
