@@ -60,7 +60,7 @@ def test_noise_scales_all_of_the_coil_and_a_part_only_itself(tmp_path):
 
 
 @law
-@given(st.permutations(["noise = [1, 2]", "stroke = [0.01, 0.02]", "nodes = [2, 3, 4]"]))
+@given(st.permutations(["noise = [1, 2]", "mocap = [1, 2]", "nodes = [2, 3, 4]"]))
 def test_an_id_depends_on_settings_alone(tmp_path_factory, lines):
     """Not on the order of axes, on where the file is, on what is said that would be so anyway."""
     here, there = (tmp_path_factory.mktemp("study") for _ in range(2))
