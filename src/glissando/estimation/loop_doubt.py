@@ -27,7 +27,7 @@ class LoopDoubt:
         """Begin without a doubt."""
         rest = prior.rest_state(Grid(arclength, [0.0])).pose[0, 0, :3, 3]
         self._base, self._arclength = rest if prior.fixes_base else None, arclength
-        self._reach = _REACH * arclength + _AT_BASE * arclength[-1]
+        self._reach = (_REACH * arclength + _AT_BASE * arclength[-1]) ** 2  # m²
         self._advances, self._forgets, self._astray, self.beyond = 0, False, False, False
 
     def look(self, newest: State, restarts: int) -> None:
@@ -42,13 +42,13 @@ class LoopDoubt:
                 f"milliseconds, read more often, and check the readings' units, frames and mounts."
             )
         place = newest.pose[:, :3, 3]
-        away = np.linalg.norm(place - (place[0] if self._base is None else self._base), axis=1)
-        excess = away - self._reach
-        worst, self.beyond = int(np.argmax(excess)), bool(excess.max() > 0.0)
+        off = place - (place[0] if self._base is None else self._base)
+        excess = np.einsum("ni,ni->n", off, off) - self._reach
+        self.beyond = bool(excess.max() > 0.0)
         if self.beyond and not self._astray:
-            self._astray = True
+            self._astray, worst = True, int(np.argmax(excess))
             _warn(
-                f"The estimate is {away[worst]:.3g} m from the base at "
+                f"The estimate is {np.linalg.norm(off[worst]):.3g} m from the base at "
                 f"{self._arclength[worst]:.3g} m of the robot, beyond its reach: readings are in "
                 f"another unit (mm for m) or frame, or the base is elsewhere. Until that ends "
                 f"`fits` is False."
