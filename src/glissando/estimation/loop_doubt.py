@@ -13,7 +13,7 @@ from glissando.model.priors.prior import Prior
 from glissando.model.state import State
 
 _RESTARTS = 10  # of a window, after which it is asked whether most times were such
-_REACH, _AT_BASE = 1.4, 0.1  # arclengths and lengths from the base, beyond which no robot stretches
+_REACH, _AT_BASE = 1.4, 0.1  # of arclength and of length: farther from the base no robot stretches
 
 
 class LoopDoubt:

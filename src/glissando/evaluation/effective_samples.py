@@ -19,10 +19,7 @@ def effective_samples(values: Array) -> float:
     centred = values - values.mean()
     if count < 4 or not np.any(np.abs(centred) > 1e-12 * (1.0 + np.abs(values).max())):
         return 1.0
-    size = 1 << (2 * count - 1).bit_length()
-    spectrum = np.fft.rfft(centred, size)
-    rho = np.fft.irfft(np.abs(spectrum) ** 2, size)[:count]
-    rho /= rho[0]
+    rho = _autocorrelation(centred[:, None])
     pairs = rho[0 : count - 1 : 2] + rho[1:count:2]
     negative = np.flatnonzero(pairs <= 0.0)
     positive = pairs[: negative[0]] if negative.size else pairs
@@ -39,13 +36,19 @@ def effective_errors(white: Array) -> float:
     count, rows = white.shape
     if count < 4 or not np.any(white):
         return float(max(count, 1))
-    size = 1 << (2 * count - 1).bit_length()
-    spectrum = np.fft.rfft(white, size, axis=0)
-    sums = np.fft.irfft(np.sum(np.abs(spectrum) ** 2, axis=1), size)[:count]
-    squares = (sums / sums[0]) ** 2
+    squares = _autocorrelation(white) ** 2
     pairs = squares[0 : count - 1 : 2] + squares[1:count:2]
     none = np.flatnonzero(pairs < _CHANCE / (count * rows))
     last = min(2 * int(none[0]) if none.size else count, int(_LONGEST * count))
     left = 1.0 - np.arange(last) / count  # of the pairs, and of their sum
     spread = 2.0 * float(np.sum(squares[:last] / left)) - 1.0
     return float(np.clip(count / max(spread, 1e-12), 1.0, count))
+
+
+def _autocorrelation(values: Array) -> Array:
+    """Correlations (M,) about zero, by lag, of a series (M, r)."""
+    count = len(values)
+    size = 1 << (2 * count - 1).bit_length()
+    spectrum = np.fft.rfft(values, size, axis=0)
+    sums = np.fft.irfft(np.sum(np.abs(spectrum) ** 2, axis=1), size)[:count]
+    return np.asarray(sums / sums[0])

@@ -71,7 +71,6 @@ def _turned(streams: Streams, r: AccelerometerReadings, weight: float) -> list[F
         if axes[:, 2].sum() < _FEWEST:
             continue
         up = -np.einsum("mji,j->mi", pose[:, :3, :3], r.gravity / weight)
-
         ways = [(np.eye(3), ""), (-np.eye(3), "with the wrong sign")]
         ways += [(matrix, f"along {shown} for x, y, z") for matrix, shown in signed_axes()]
         errors = [_off(force @ matrix, up, axes) for matrix, _ in ways]
