@@ -8,12 +8,13 @@ from rich.console import Console
 from scipy.stats import chi2
 
 from command_line import run
+from glissando import PoseReadings, StateEstimate, se3
 from glissando.cli.check import _table
 from glissando.cli.main import main
 from glissando.cli.tables import site_table
 from glissando.evaluation.consistency import LEVELS, Consistency, check
 from glissando.evaluation.effective_samples import effective_errors, effective_samples
-from glissando.evaluation.metrics import Errors, pool
+from glissando.evaluation.metrics import Errors, errors_against, pool
 
 
 def series(rng, count, rho, scale=1.0):
@@ -59,6 +60,21 @@ def test_errors_that_last_are_worth_few_samples(share, most):
     assert wrong <= 100 * most
     assert np.median(found) < (1.5 / share**2 if share else 401.0)
     assert share or np.median(found) > 300.0
+
+
+def test_an_estimate_whose_covariance_is_none_is_judged_by_what_is_left():
+    class Somebodys:
+        def at(self, arclength, _):
+            still, poses = np.zeros((arclength.size, 6)), np.tile(np.eye(4), (arclength.size, 1, 1))
+            cov = np.tile(np.diag([1.0, 1.0, 1.0, -1e-3, *np.ones(14)]), (arclength.size, 1, 1))
+            return StateEstimate(poses, still, still, cov)
+
+    poses = np.tile(se3.exp(np.full(6, 0.01)), (10, 1, 1))
+    truth = PoseReadings(time=np.arange(10.0), arclength=np.zeros(10), values=poses, cov=1e-6)
+    errors = errors_against(Somebodys(), truth)
+    assert errors.white_position.shape == (10, 3)
+    assert errors.white_rotation.shape == (0, 3)
+    assert {c.quantity for c in check([errors])} == {"position", "rotation"}
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.8, 0.97])

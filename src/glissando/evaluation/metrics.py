@@ -161,8 +161,11 @@ def _squared(error: Array, cov: Array) -> Array:
 
 
 def _white(error: Array, cov: Array) -> Array:
-    """Errors (M, r) in units of their covariance."""
-    root = np.linalg.cholesky(np.broadcast_to(cov, (*error.shape, error.shape[1])))
+    """Errors (M, r) in units of their covariance; none where somebody's is no covariance."""
+    try:
+        root = np.linalg.cholesky(np.broadcast_to(cov, (*error.shape, error.shape[1])))
+    except np.linalg.LinAlgError:
+        return np.zeros((0, error.shape[1]))
     return np.asarray(np.linalg.solve(root, error[..., None])[..., 0])
 
 
