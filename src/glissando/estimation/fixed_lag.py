@@ -33,8 +33,9 @@ from glissando.estimation.loads import require_mechanics
 from glissando.estimation.loop_doubt import LoopDoubt
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.shape_spread import ShapeSpread, spread_between
-from glissando.estimation.sliding_window import LostError, SlidingWindow
+from glissando.estimation.sliding_window import SlidingWindow
 from glissando.estimation.state_estimate import StateEstimate, state_at
+from glissando.estimation.window_parameters import LostError
 from glissando.estimation.window_steps import WindowSteps
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, points_of

@@ -14,7 +14,8 @@ from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.outliers import CHANCE
 from glissando.estimation.reading_buffer import ReadingBuffer
-from glissando.estimation.sliding_window import LostError, SlidingWindow
+from glissando.estimation.sliding_window import SlidingWindow
+from glissando.estimation.window_parameters import LostError
 from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import SolverOptions
 

@@ -49,10 +49,6 @@ from glissando.solver.normal_equations import Layout, NormalEquationsBuilder, ke
 from glissando.solver.outcome import Outcome
 
 
-class LostError(Exception):
-    """What is read is beyond what a linear belief allows."""
-
-
 class SlidingWindow:
     """Time nodes of a prior on `arclength` (N,), solved together with `sensor_parameters`.
 
@@ -116,9 +112,6 @@ class SlidingWindow:
             self.nodes = self.nodes.stepped(self.dating.counted(self.nodes, self._system))
             self._root = self._system.root.copy()
         values, own = self.nodes.newest[1], self._root[:, self.nodes.state.numbers :]
-        if self.parameters.lost_delay(values):
-            self.parameters.forget()
-            raise LostError
         self.parameters.settle(float(self.nodes.time[-1]), values, own.T @ own)
 
     @property

@@ -14,6 +14,10 @@ _FAR = 3.0  # standard deviations by which a delay may be longer than it is esti
 _LOST = 6.0  # stated standard deviations that no delay is off
 
 
+class LostError(Exception):
+    """What is read is beyond what a linear belief allows."""
+
+
 class WindowParameters:
     """Sensor parameters of a window, which go on where it begins anew.
 
@@ -31,7 +35,16 @@ class WindowParameters:
         self._settled = 0.0, self.process.mean, np.diag(self.process.std**2)
 
     def settle(self, time: float, values: Array, cov: Array) -> None:
-        """Note what is known at a time: values (E,) and covariance (E, E)."""
+        """Note what is known at a time: values (E,) and covariance (E, E).
+
+        Raises:
+            LostError: A delay is further off than what is stated of it allows, as steps in error
+                go; what is stated holds again.
+        """
+        off = np.abs(values - self.process.mean) > _LOST * self.process.std
+        if off[self.process.delay_columns].any():
+            self.forget()
+            raise LostError
         self._settled = time, values, cov
 
     def begin(self, time: float) -> tuple[Array, Array]:
@@ -56,8 +69,3 @@ class WindowParameters:
         """How far, s, a reading may be from its stamp by delays that are estimated so (E,)."""
         reach = np.abs(values) + _FAR * std
         return float(np.max(reach[self.process.delay_columns], initial=0.0))
-
-    def lost_delay(self, values: Array) -> bool:
-        """Whether a delay is further off than what is stated of it allows, as steps in error go."""
-        off = np.abs(values - self.process.mean) > _LOST * self.process.std
-        return bool(off[self.process.delay_columns].any())

@@ -21,8 +21,9 @@ from glissando.estimation.misfit import breakdown, far_off
 from glissando.estimation.reading_buffer import ReadingBuffer
 from glissando.estimation.shape_spread import ShapeSpread, shape_covariances, tip_spread
 from glissando.estimation.silence import Silence
-from glissando.estimation.sliding_window import LostError, SlidingWindow
+from glissando.estimation.sliding_window import SlidingWindow
 from glissando.estimation.state_estimate import StateEstimate
+from glissando.estimation.window_parameters import LostError
 from glissando.model.grid import Grid
 from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
