@@ -1,7 +1,6 @@
 """Silence: belief grows, saturates, claims no more than is true, and takes true readings back."""
 
 from copy import deepcopy
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,9 +11,7 @@ import separable_sessions as drawn
 from draws import generators, law
 from glissando import (
     BaseVariance,
-    CoilReadings,
     PoseReadings,
-    PositionReadings,
     SeparablePrior,
     load_robot,
 )
@@ -24,30 +21,12 @@ from glissando.estimation.shape_spread import shape_covariances
 from glissando.geometry import se3
 from glissando.io.shipped_robots import shipped_robots
 from glissando.model.grid import Grid
-from glissando.model.sensors.parameters import SensorParameter
 from separable_drawn import draw_motion
+from tip_coil import coil, tip
 
 PAUSES = (0.3, 1.0, 10.0, 100.0, 1000.0, 10_000.0, 86_400.0)
 STEP = 1.0 / 30.0
-COV = np.array([5e-7] * 3 + [2e-5] * 3)
 LIMIT = chi2.ppf(1.0 - 1e-6, 3)
-
-
-def tip(length, bend, plane):
-    """Pose (4, 4) of the tip of an arc."""
-    return se3.exp(length * np.array([0, 0, 1, bend * np.cos(plane), bend * np.sin(plane), 0]))
-
-
-def coil(rng, time, pose, length):
-    noise = np.sqrt(COV[:5]) * rng.standard_normal(5)
-    seen = pose @ se3.exp(np.append(noise, 0.0))
-    return CoilReadings(
-        time=np.full(1, time),
-        arclength=np.full(1, length),
-        values=seen[None],
-        cov=COV[:5],
-        name="coil",
-    )
 
 
 @pytest.mark.parametrize("name", shipped_robots())
@@ -214,58 +193,6 @@ def test_a_robot_at_rest_is_foretold_as_well_at_any_time(name):
     far = smoother.at(np.full(2, place), [1e4, 1e5])
     smoother.advance(1e4)
     np.testing.assert_allclose(far.std_position, smoother.at(place, 1e4).std_position)
-
-
-def test_what_was_learned_of_a_sensor_outlives_the_silence():
-    robot = load_robot("tdcr466")
-    frame = SensorParameter("frame", "frame", ("coil",), np.zeros(6), np.full(6, 0.02))
-    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, sensor_parameters=[frame])
-    rng, shift = np.random.default_rng(4), se3.exp(np.array([5e-3, -4e-3, 3e-3, 0.0, 0.01, 0.0]))
-    pose = tip(robot.length, 1.0, 0.0)
-    for time in STEP * np.arange(30):
-        for name, seen in (("tip", pose), ("coil", se3.inverse(shift) @ pose)):
-            smoother.add(replace(coil(rng, time, seen, robot.length), name=name))
-        smoother.advance(time)
-    value, cov = smoother.posterior().parameter("frame")
-    smoother.advance(50.0)
-    assert smoother.restarts == 1
-    after, cov_after = smoother.posterior().parameter("frame")
-    np.testing.assert_allclose(after[-1], value[-1], rtol=0.05, atol=1e-4)
-    assert np.all(np.diagonal(cov_after[-1]) >= 0.99 * np.diagonal(cov[-1]))
-    assert np.all(np.diagonal(cov_after[-1]) <= 1.3 * np.diagonal(cov[-1]) + 1e-6)
-
-
-def drifting_bias(seed, pause, memory=0.3, std=0.02):
-    """Squared errors of a marker's drifting bias, in their covariance, after a pause."""
-    robot, rng = load_robot("tdcr466"), np.random.default_rng(seed)
-    known = SensorParameter("bias", "bias", ("marker",), np.zeros(3), np.full(3, std), memory)
-    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, sensor_parameters=[known])
-    before, bias, out = 0.0, std * rng.standard_normal(3), []
-    times = np.r_[0.1:1.11:0.05, 1.1 + pause : 1.26 + pause : 0.05]
-    for k, time in enumerate(times):
-        if k in (0, 21):
-            pose = tip(robot.length, *rng.normal(0.0, [6.0, 3.0]))
-        fade = np.exp((before - time) / memory)
-        bias = fade * bias + std * np.sqrt(1.0 - fade**2) * rng.standard_normal(3)
-        before = time
-        seen = (bias + 5e-4 * rng.standard_normal(3))[None]
-        smoother.add(coil(rng, time, pose, robot.length))
-        smoother.add(
-            PositionReadings(time=[time], arclength=[0.0], values=seen, cov=2.5e-7, name="marker")
-        )
-        smoother.advance(time)
-        if k >= 21:
-            value, cov = smoother.posterior().parameter("bias")
-            off = value[-1] - bias
-            out.append(off @ np.linalg.solve(cov[-1], off))
-    return smoother.restarts, out
-
-
-@pytest.mark.parametrize("pause", [0.2, 0.3])
-def test_a_drifting_parameter_is_as_sure_as_it_is_where_a_window_begins_anew(pause):
-    restarts, squared = zip(*(drifting_bias(seed, pause) for seed in range(24)), strict=True)
-    assert sum(restarts) > 5
-    assert np.sum(squared, axis=0)[0] < chi2.ppf(1.0 - 1e-6, 3 * 24)  # the base is better known
 
 
 @settings(law, max_examples=5)
