@@ -21,7 +21,7 @@ from glissando.solver.gauss_newton import SolverOptions
 
 _RENEWED = 2  # intervals before the newest node that an update linearises again
 _CLOSE = 0.02  # standard deviations: where the last step missed by less, the newest alone will do
-_MISS = 0.1  # standard deviations by which a step may miss before it is followed by another
+_MISS = 0.05  # standard deviations by which a step may miss before it is followed by another
 _LONG, _BRIEF = 30, 10  # iterations of a start, with other shapes and without
 _SAVED = 400  # iterations that starts may take at once, and as many as updates after that
 _MOST = 5  # steps of a solution, and readings that any update may refuse
