@@ -85,7 +85,7 @@ def _estimate(options: argparse.Namespace) -> int:
         require_mechanics(robot.prior)
     query = _checked_query(options, recording, robot) if options.query else None
     if options.out:
-        require_packages({"netcdf": ("xarray", "h5netcdf", "h5py"), "plot": ("matplotlib",)})
+        require_packages({"netcdf": ("h5netcdf", "h5py"), "plot": ("matplotlib",)})
         require_results_folder(options.out)
     elif options.animate or options.view:
         wish = "--animate" if options.animate else "--view"

@@ -6,8 +6,10 @@ covariances follow; standard deviations and node covariances are written too, fo
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Sequence
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,6 +49,10 @@ _DAMAGED = (
     RuntimeError,
     OverflowError,
 )
+_Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]
+"""Dimensions, values and attributes by name."""
+
+_PACKED, _CHUNK = 1 << 16, 1 << 20  # bytes of a variable that is packed, and of what at once
 _SKEW = 1e-6  # by which rotations may fail to be orthogonal
 _SIX = ["x", "y", "z", "rx", "ry", "rz"]
 _FIELDS = ("pose", "strain", "velocity", "strain_rate", "inertia")
@@ -59,13 +65,12 @@ COMPONENTS = [f"{field}_{part}" for field in _FIELDS for part in _SIX]
 """
 
 
-def _xarray() -> Any:
-    with needing("Saving and loading posteriors needs xarray, h5netcdf and h5py", "netcdf"):
+def _packages() -> Any:
+    """What reads and writes NetCDF-4, and HDF5 below it."""
+    with needing("Saving and loading posteriors needs h5netcdf and h5py", "netcdf"):
         import h5netcdf
         import h5py
-        import xarray
-    del h5netcdf, h5py
-    return xarray
+    return h5netcdf, h5py
 
 
 def to_xarray(posterior: Posterior) -> xarray.Dataset:
@@ -74,31 +79,40 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
     Raises:
         GlissandoError: xarray is not installed.
     """
+    with needing("Labelled arrays need xarray", "netcdf"):
+        import xarray
+    return xarray.Dataset(*_labelled(posterior))
+
+
+def _labelled(posterior: Posterior) -> tuple[_Variables, _Variables, dict[str, Any]]:
+    """Variables, coordinates and attributes of what a posterior says at its nodes."""
     dof, six = posterior.state.dof, "component6"
     variables = _states(posterior)
     if isinstance(posterior.prior, MechanicalPrior):
         variables |= _loads(posterior, posterior.prior)
-    coordinates: dict[str, Any] = {
-        "time": ("time", posterior.grid.time, {"units": "s"}),
-        "arclength": ("arclength", posterior.grid.arclength, {"units": "m"}),
+    names = {
         "axis": ["x", "y", "z"],
         "quaternion_part": ["w", "x", "y", "z"],
         six: _SIX,
         "component": COMPONENTS[:dof],
         "component_": COMPONENTS[:dof],
     }
+    coordinates: _Variables = {
+        "time": (("time",), posterior.grid.time, {"units": "s"}),
+        "arclength": (("arclength",), posterior.grid.arclength, {"units": "m"}),
+        **{name: ((name,), np.array(each, dtype=object), {}) for name, each in names.items()},
+    }
     if "load" in variables:
-        coordinates["place"] = ("place", variables.pop("place"), {"units": "m"})
+        coordinates["place"] = variables.pop("place")
     attributes = {
         "title": "Posterior of a continuum robot's motion",
         "format": stated_format("posterior"),
     }
-    dataset: xarray.Dataset = _xarray().Dataset(variables, coordinates, attributes)
-    return dataset
+    return variables, coordinates, attributes
 
 
-def _states(posterior: Posterior) -> dict[str, Any]:
-    """Means, standard deviations and covariances at the nodes, as xarray takes variables."""
+def _states(posterior: Posterior) -> _Variables:
+    """Means, standard deviations and covariances at the nodes."""
     k, n = posterior.grid.shape
     state, dof = posterior.state, posterior.state.dof
     of_nodes = posterior.marginals.cov[:, : n * dof, : n * dof]
@@ -107,7 +121,7 @@ def _states(posterior: Posterior) -> dict[str, Any]:
     std = np.sqrt(np.einsum("knii->kni", cov))
     units = ["m", "rad", "1", "1/m", "m/s", "rad/s", "1/s", "1/m/s", "m/s²", "m/s³"]
     mixed = ", ".join(units[: dof // 3])
-    variables: dict[str, Any] = {
+    variables: _Variables = {
         "position": ((*node, "axis"), state.pose[..., :3, 3], {"units": "m", "frame": "world"}),
         "quaternion": (
             (*node, "quaternion_part"),
@@ -132,7 +146,7 @@ def _states(posterior: Posterior) -> dict[str, Any]:
     return variables
 
 
-def _loads(posterior: Posterior, prior: MechanicalPrior) -> dict[str, Any]:
+def _loads(posterior: Posterior, prior: MechanicalPrior) -> _Variables:
     """Internal wrenches at the nodes and the loads where some are expected, with their places."""
     time, arclength = posterior.grid.time[:, None], posterior.grid.arclength
     place = load_places(prior, posterior.grid)
@@ -144,7 +158,7 @@ def _loads(posterior: Posterior, prior: MechanicalPrior) -> dict[str, Any]:
         "wrench_std": (("time", "arclength", six), inner.std, units),
         "load": (("time", "place", six), load.wrench, units),
         "load_std": (("time", "place", six), load.std, units),
-        "place": place,
+        "place": (("place",), place, {"units": "m"}),
     }
 
 
@@ -152,38 +166,56 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
     """Write everything that `load_posterior` needs to a NetCDF-4 (HDF5) file.
 
     Raises:
-        GlissandoError: The file cannot be written, or xarray is not installed.
+        GlissandoError: The file cannot be written, or h5netcdf is not installed.
     """
-    dataset = to_xarray(posterior)
-    dataset["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose)
-    dataset["information"] = (("time", "slab", "slab_"), posterior.system.diagonal)
-    dataset["information_below"] = (("time_step", "slab", "slab_"), posterior.system.lower)
+    variables, coordinates, attributes = _labelled(posterior)
+    slab = ("slab", "slab_")
+    variables["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose, {})
+    variables["information"] = (("time", *slab), posterior.system.diagonal, {})
+    variables["information_below"] = (("time_step", *slab), posterior.system.lower, {})
     rolled = has_rolled(posterior.linearization_point, posterior.state)
     if rolled or isinstance(posterior.prior, MechanicalPrior):
-        dataset.update(_linearization(posterior))
-    dataset.attrs["prior"] = json.dumps(posterior.prior.to_table())
-    dataset.attrs["sensor_parameters"] = json.dumps(
+        variables |= _linearization(posterior)
+    attributes["prior"] = json.dumps(posterior.prior.to_table())
+    attributes["sensor_parameters"] = json.dumps(
         [_plain({**vars(u), "values": values}) for u, values in posterior.sensor_parameters]
     )
     if posterior.grid.before is not None:
-        dataset.attrs["time_before"] = posterior.grid.before
-    dataset.attrs["versions"] = json.dumps(versions())
-    dataset.attrs["solve"] = json.dumps(posterior.solve.to_table())
-    packed = {"zlib": True, "complevel": 4, "shuffle": True}
-    encoding = dict.fromkeys(("information", "information_below", "cov"), packed)
-    image = dataset.to_netcdf(engine="h5netcdf", encoding=encoding)  # HDF5 dies of a full disk
+        attributes["time_before"] = posterior.grid.before
+    attributes["versions"] = json.dumps(versions())
+    attributes["solve"] = json.dumps(posterior.solve.to_table())
+    image = _image({**coordinates, **variables}, attributes)  # HDF5 dies of a full disk
     with new_file(path) as building:
         building.write_bytes(image)
 
 
-def _linearization(posterior: Posterior) -> dict[str, Any]:
+def _image(variables: _Variables, attributes: dict[str, Any]) -> bytes:
+    """The bytes of a NetCDF-4 file of variables and attributes."""
+    image, (h5netcdf, h5py) = io.BytesIO(), _packages()
+    with h5netcdf.File(image, "w") as file:
+        for name, (dimensions, values, about) in variables.items():
+            sizes = zip(dimensions, values.shape, strict=True)
+            file.dimensions.update({d: size for d, size in sizes if d not in file.dimensions})
+            packed: dict[str, Any] = {}
+            if values.nbytes > _PACKED:
+                per = max(1, _CHUNK * values.shape[0] // values.nbytes)
+                packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+                packed["chunks"] = (min(per, len(values)), *values.shape[1:])
+            text = {"dtype": h5py.string_dtype()} if values.dtype == object else {}
+            variable = file.create_variable(name, dimensions, data=values, **text, **packed)
+            variable.attrs.update(about)
+        file.attrs.update(attributes)
+    return image.getvalue()
+
+
+def _linearization(posterior: Posterior) -> _Variables:
     """The states (2, K, N) at which a posterior was linearised and weighted."""
-    variables: dict[str, Any] = {}
+    variables: _Variables = {}
     for name, key in zip(_FIELDS, _POINTS, strict=True):
         each = [getattr(state, name) for state in posterior.linearized or ()]
         if each and each[0] is not None:
             entries = ("row", "column") if name == "pose" else ("component6",)
-            variables[key] = (("point", "time", "arclength", *entries), np.stack(each))
+            variables[key] = (("point", "time", "arclength", *entries), np.stack(each), {})
     return variables
 
 
@@ -196,40 +228,38 @@ def load_posterior(path: str | Path) -> Posterior:
     path = Path(path)
     try:
         require_plain(path, 1 << 40)
-        open_dataset, options = _xarray().open_dataset, {"decode_cf": False, "phony_dims": "sort"}
-        with open_dataset(path, engine="h5netcdf", **options) as opened:
-            announced = sum(int(v.nbytes) for v in opened.variables.values())
+        with _packages()[0].File(path, "r", phony_dims="sort") as file:
+            announced = sum(prod(v.shape) * v.dtype.itemsize for v in file.variables.values())
             if announced > largest_deflated(path.stat().st_size):
                 raise ValueError(
                     f"it announces {announced:,} bytes of numbers, more than it or memory holds"
                 )
-            names = [name for name in _READ if name in opened.variables]
-            dataset = opened[names].load()
+            arrays = {name: file.variables[name][...] for name in _READ if name in file.variables}
+            attributes = dict(file.attrs)
     except (OSError, MemoryError, *_DAMAGED) as problem:
         raise GlissandoError(f"{path} cannot be read as NetCDF ({problem}).") from None
-    require_readable(dataset.attrs.get("format", "unknown"), "posterior", path)
+    require_readable(attributes.get("format", "unknown"), "posterior", path)
     try:
-        return _posterior(dataset, path.name)
+        return _posterior(arrays, attributes, path.name)
     except UnknownPriorError as problem:
         raise GlissandoError(f"{path}: {problem}") from None
     except (GlissandoError, np.linalg.LinAlgError, *_DAMAGED) as problem:
         raise GlissandoError(f"{path} is damaged ({problem}); estimate again.") from None
 
 
-def _posterior(dataset: xarray.Dataset, name: str) -> Posterior:
-    """The posterior that a dataset holds."""
-    attributes = dataset.attrs
+def _posterior(arrays: dict[str, Array], attributes: dict[str, Any], name: str) -> Posterior:
+    """The posterior that a file's arrays and attributes are."""
     parameters = attributes.get("sensor_parameters") or attributes.get("unknowns", "[]")
     prior = _as_prior(json.loads(attributes["prior"]), name)
     before = attributes.get("time_before")
     before = None if before is None else float(before)
-    grid = Grid(_numbers(dataset, "arclength"), _numbers(dataset, "time"), before)
-    state = State(*(_numbers(dataset, field) for field in _FIELDS if field in dataset))
-    blocks = (_numbers(dataset, key) for key in ("information", "information_below"))
+    grid = Grid(_numbers(arrays, "arclength"), _numbers(arrays, "time"), before)
+    state = State(*(_numbers(arrays, field) for field in _FIELDS if field in arrays))
+    blocks = (_numbers(arrays, key) for key in ("information", "information_below"))
     estimated = [_as_sensor_parameter(table) for table in json.loads(parameters)]
     system = BlockTridiagonal(*blocks)
     _require_whole(grid, state, system, estimated)
-    points = [_numbers(dataset, key) for key in _POINTS if key in dataset]
+    points = [_numbers(arrays, key) for key in _POINTS if key in arrays]
     if points and [p.shape for p in points] != [(2, *field.shape) for field in state.fields()]:
         raise ValueError("where it was linearised does not fit its nodes")
     solve = SolveReport.from_table(json.loads(attributes["solve"]))
@@ -240,9 +270,9 @@ def _posterior(dataset: xarray.Dataset, name: str) -> Posterior:
     return Posterior(prior, grid, state, system, marginals, solve, estimated, where)
 
 
-def _numbers(dataset: xarray.Dataset, name: str) -> Array:
+def _numbers(arrays: dict[str, Array], name: str) -> Array:
     """A variable's numbers. Raises ValueError unless they are finite."""
-    values = np.asarray(dataset[name].values, dtype=float)
+    values = np.asarray(arrays[name], dtype=float)
     if not np.all(np.isfinite(values)):
         raise ValueError(f"{name} is not finite")
     return values
