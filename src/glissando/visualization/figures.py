@@ -70,7 +70,7 @@ def confidence_figure(
     """
     grid = posterior.grid
     time, time_drawn = _drawn(grid.time, 120)
-    arclength, arclength_drawn = _drawn(grid.arclength, 80)
+    arclength, arclength_drawn = _drawn(grid.arclength, 40)
     std = posterior.at(arclength[:, None], time).std_position * MM
     top = float(np.quantile(std, 0.99))
     over: Any = "max" if std.max() > 1.02 * top else "neither"
