@@ -85,14 +85,24 @@ def test_a_recording_nobody_has_seen_is_judged_by_the_sensors_that_it_has(spacet
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "passes"),
+    ("right", "more", "wrong", "passes"),
     [
-        ([True, True], [False, True], True),
-        ([True, True], [True, True], False),
-        ([True, False], [False, False], False),
+        ([set(), set()], [], [{"pose"}, set()], True),
+        ([set(), set()], [], [set(), set()], False),
+        ([{"pose"}, set()], [{"strain"}, {"pose"}], [{"pose"}, {"pose"}], True),
+        ([{"pose"}, set()], [{"pose", "strain"}, set()], [{"pose"}, {"pose"}], False),
     ],
 )
-def test_ranks_are_as_they_must_where_wrong_priors_fail(right, wrong, passes):
-    pairs = [(1.0, each) for each in right] + [(1.3, each) for each in wrong]
-    checks = [{"prior_factor": f, "quantities": [{"uniform": u}]} for f, u in pairs]
+def test_ranks_are_as_they_must_where_what_is_outside_twice_is_of_wrong_priors(
+    right, more, wrong, passes
+):
+    checks = [
+        {
+            "prior_factor": factor,
+            "estimator": estimator,
+            "quantities": [{"name": n, "uniform": n not in out} for n in ("pose", "strain")],
+        }
+        for factor, each in ((1.0, right), (1.0, more), (1.3, wrong))
+        for estimator, out in zip(("batch", "online"), each, strict=False)
+    ]
     assert sbc.as_it_must(checks) == passes
