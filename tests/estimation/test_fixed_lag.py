@@ -13,7 +13,15 @@ from scipy.stats import chi2
 
 import separable_sessions as drawn
 from draws import generators, law
-from glissando import Grid, GyroReadings, PoseReadings, State, estimate
+from glissando import (
+    CoilReadings,
+    Grid,
+    GyroReadings,
+    PoseReadings,
+    State,
+    estimate,
+    load_robot,
+)
 from glissando.cli.main import main
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry import se3
@@ -161,6 +169,21 @@ def newest_errors(window, trials):
             nees.append(miss @ np.linalg.solve(at.cov[-1], miss))
         found.append(nees)
     return np.array(found)
+
+
+def test_the_first_state_is_no_surer_than_that_moment_is_one_update_later():
+    robot, places = load_robot("tdcr466"), np.array([0.0, 0.233, 0.466])
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    straight = np.eye(4)[None].copy()
+    straight[0, 2, 3] = robot.length
+    smoother.add(
+        CoilReadings(time=[0.0], arclength=[0.466], values=straight, cov=[5e-7] * 3 + [4e-5] * 2)
+    )
+    smoother.advance(0.0)
+    first = smoother.posterior().at(places, 0.0).std_position
+    smoother.advance(1.0 / 30.0)
+    later = smoother.posterior().at(places, 0.0).std_position
+    assert np.all((first > 0.95 * later) & (first < 1.5 * later))  # it was 0.13 of it
 
 
 @pytest.mark.slow

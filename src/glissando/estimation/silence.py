@@ -11,6 +11,7 @@ import numpy as np
 from glissando.estimation.reading_buffer import ReadingBuffer
 
 _USUAL = 1.0  # s: the usual step until two updates say what it is
+_LONE = 1 / 60  # s that a node without another stands for until then: half a step at 30 Hz
 _VOID = 2.0  # usual steps without a reading, which make a silence
 _GROWTH = 0.2  # of the silence so far: the longest step in it
 _CURVED = 0.2  # rad: where the tip's direction is known less well, belief is not linear
@@ -31,11 +32,12 @@ class Silence:
     Attributes:
         step: The usual step between nodes, s.
         heard: Time of the newest node with a reading, s.
+        lone: What a node stands for until there is another, s: half a step.
         curved: Whether belief is too wide to be linear, and nothing was read.
     """
 
     def __init__(self) -> None:
-        self.step, self.heard = _USUAL, -np.inf
+        self.step, self.lone, self.heard = _USUAL, _LONE, -np.inf
         self.curved = False
         self._limits: Spread | None = None
 
@@ -61,7 +63,7 @@ class Silence:
     def end(self, before: float | None, newest: float) -> None:
         """Something was read in the interval between two nodes."""
         if before is not None and self.heard == before < newest:
-            self.step = newest - before
+            self.step, self.lone = newest - before, 0.5 * (newest - before)
         self.heard, self.curved = newest, False
 
     def note(self, spread: Spread) -> None:

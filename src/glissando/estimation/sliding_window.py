@@ -54,6 +54,7 @@ class SlidingWindow:
 
     Attributes:
         parameters: What is known of those.
+        lone: What the first node stands for until there is another, s.
         dating: What dates the readings of streams with an estimated delay, if there are any.
     """
 
@@ -65,6 +66,7 @@ class SlidingWindow:
         self.prior, self.arclength = prior, arclength
         self.sensor_parameters = tuple(p for p in sensor_parameters if not p.known)
         self.before: float | None = None
+        self.lone = 1.0
         self.dating: DelayDating | None = None
         self._grid = Grid(arclength, [0.0])
         self._process = EstimatedParameters(self._grid, self.sensor_parameters)
@@ -136,7 +138,7 @@ class SlidingWindow:
     def grid(self, first: int = 0) -> Grid:
         """The grid of the nodes from `first` on."""
         before = float(self.nodes.time[first - 1]) if first else self.before
-        return self._grid.at_times(self.nodes.time[first:], before)
+        return self._grid.at_times(self.nodes.time[first:], before, self.lone)
 
     def since(self, first: int) -> float:
         """The time from which on readings are of the intervals from node `first` on, s."""

@@ -189,6 +189,7 @@ class WindowSteps:
     def _rest(self, time: float) -> None:
         """A single node at rest."""
         window = self.window
+        window.lone = self._silence.lone
         self._started = self._silence.curved = False
         first = window.prior.fixes_base and not self._silence.has_rest
         _begin_at_rest(window, time, solve=first)

@@ -23,10 +23,10 @@ _CROWDED = 0.05  # of an interval: a reading as near to another node gets none o
 _TOLERANCE = 1e-9  # of a step beside a node is on it, of the length outside the ends is the end
 
 
-def _spans(nodes: Array) -> Array:
-    """Half the distance to both neighbours (half spans at the ends); 1 for a lone node."""
+def _spans(nodes: Array, lone: float = 1.0) -> Array:
+    """Half the distance to both neighbours (half spans at the ends); `lone` for a lone node."""
     if nodes.size == 1:
-        return np.ones(1)
+        return np.array([lone])
     spans, halves = np.zeros(nodes.size), 0.5 * (nodes[1:] - nodes[:-1])
     spans[:-1] += halves
     spans[1:] += halves
@@ -165,14 +165,16 @@ class Grid(Brief):
         object.__setattr__(grid, "time_spans", np.ones(count))
         return grid
 
-    def at_times(self, time: Array, before: float | None = None) -> Grid:
+    def at_times(self, time: Array, before: float | None = None, lone: float = 1.0) -> Grid:
         """The same arclength nodes at other times (K,), which are not checked.
 
         Args:
             time: Seconds, increasing.
             before: The node before the first of them, if there is one.
+            lone: What a single node with none before stands for, s.
         """
-        spans = _spans(time) if before is None else _spans(np.concatenate([[before], time]))[1:]
+        nodes = time if before is None else np.concatenate([[before], time])
+        spans = _spans(nodes, lone)[nodes.size - time.size :]
         out = object.__new__(Grid)
         out.__dict__.update(self.__dict__, time=time, before=before, time_spans=spans)
         return out
