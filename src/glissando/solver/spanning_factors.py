@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from glissando._kernels.arrays import whole
@@ -13,10 +15,12 @@ from glissando.model.interpolation import Interpolation, sort_points
 from glissando.model.noise import sqrt_information
 from glissando.model.priors.prior import Prior, both_sides
 from glissando.model.sensors.readings import Readings
-from glissando.model.state import DOF, State
+from glissando.model.state import DOF, STRAIN, State
 from glissando.solver.located_readings import LocatedReadings
 
 _NOTHING = 1e-300
+_PIECES = 4  # of an interval between nodes, at least
+_JOINT = 1e-6  # m: what lies just before a joint is no interval
 
 Parts = list[tuple[Index, Interpolation]]
 """Which of some points, and the states there."""
@@ -25,10 +29,11 @@ Parts = list[tuple[Index, Interpolation]]
 def spanning_factor(
     readings: Readings, prior: Prior, located: LocatedReadings, state: State, noise_state: State
 ) -> Factors:
-    """Factors of readings that depend on all nodes of their time, and on both sides of joints.
+    """Factors of readings that depend on the whole robot at their time, between its nodes, too.
 
     What the bridge in time leaves open counts as fully correlated along the robot, which it nearly
-    is: the careful side. What rows then have in common is that of the same errors everywhere.
+    is: the careful side. What rows then have in common is that of the same errors everywhere. The
+    bridge along the robot moves poses to one side between two nodes, and not at them.
 
     Args:
         readings: Readings (M,).
@@ -45,51 +50,97 @@ def spanning_factor(
             f"{readings.label}: parameters of a sensor that reads the whole robot are not "
             f"estimated; leave them out."
         )
-    s = both_sides(located.grid.arclength, prior.joints)
+    nodes = both_sides(located.grid.arclength, prior.joints)
+    s = _refined(nodes, readings.longest_step)
     every = np.tile(s, len(readings)), np.repeat(readings.time, s.size)
     at, parts = interpolated(prior, located.grid, state, noise_state, *every)
-    at = at.reshape(len(readings), s.size)
+    at, inner = at.reshape(len(readings), s.size), np.searchsorted(s, nodes)
     residual, by_state = readings.residual_over(s, at), readings.jacobian_over(s, at)
-    by_state = by_state.swapaxes(1, 2).reshape(-1, residual.shape[1], DOF)
-    nodes, by_nodes, left = _through(parts, by_state, s.size, located.grid.arclength.size)
+    here, by_nodes = _through(parts, by_state, located.grid.arclength.size)
+    cov: Array = np.empty((len(readings) * s.size, DOF, DOF))
+    for rows, part in parts:
+        cov[rows] = part.cov
+    cov = cov.reshape(-1, s.size, DOF, DOF)
+    own = readings.jacobian_over(nodes, at.take((slice(None), inner)))
+    left = _in_time(own, cov[:, inner]) + _along(by_state[..., STRAIN], cov[..., :6, :6], s, inner)
     terms = Residuals(residual, sqrt_information(readings.cov + left), readings.loss)
-    return Factors(nodes, slice(0, state.dof), whole(by_nodes.swapaxes(1, 2)), terms)
+    return Factors(here, slice(0, state.dof), whole(by_nodes.swapaxes(1, 2)), terms)
 
 
-def _through(
-    parts: Parts, by_state: Array, places: int, n_count: int
-) -> tuple[Index, Array, Array]:
-    """Nodes (M, c) of readings, slopes (M, c, r, dof) by them, what they leave open (M, r, r).
+def _refined(nodes: Array, longest: float) -> Array:
+    """Nodes, and places between them no farther apart than that."""
+    out = [nodes]
+    for begin, end in pairwise(nodes):
+        pieces = max(_PIECES, int(np.ceil((end - begin) / longest)))
+        if end - begin > _JOINT:
+            out.append(begin + (end - begin) * np.arange(1, pieces) / pieces)
+    return np.sort(np.concatenate(out))
+
+
+def _through(parts: Parts, by_state: Array, n_count: int) -> tuple[Index, Array]:
+    """Nodes (M, c) of readings, and slopes (M, c, r, dof) by them.
 
     Args:
-        parts: States at the `places` of each reading, readings after readings.
-        by_state: Slopes (M · places, r, 18) by the states there.
-        places: How many places a reading depends on.
+        parts: States at the places of each reading, readings after readings.
+        by_state: Slopes (M, r, places, 18) by the states there.
         n_count: Arclength nodes.
     """
-    m, dof = len(by_state) // places, parts[0][1].dof
+    (m, rows, places, _), dof = by_state.shape, parts[0][1].dof
     first, last = np.full(m, np.iinfo(np.intp).max), np.zeros(m, dtype=np.intp)
-    for rows, part in parts:
+    for at, part in parts:
         time = part.nodes // n_count
-        np.minimum.at(first, rows // places, time.min(axis=1))
-        np.maximum.at(last, rows // places, time.max(axis=1))
+        np.minimum.at(first, at // places, time.min(axis=1))
+        np.maximum.at(last, at // places, time.max(axis=1))
     nodes = n_count * first[:, None] + np.arange(n_count * (1 + int(np.max(last - first))))
-    by_nodes = np.zeros((*nodes.shape, by_state.shape[1], dof))
-    std, common = np.zeros((m, by_state.shape[1])), np.zeros((m, by_state.shape[1], DOF))
-    for rows, part in parts:
-        owner, slope = rows // places, by_state[rows]
-        through = slope @ part.jacobian.reshape(rows.size, DOF, -1)
+    by_nodes = np.zeros((*nodes.shape, rows, dof))
+    for at, part in parts:
+        owner, slope = at // places, by_state[at // places, :, at % places]
+        through = slope @ part.jacobian.reshape(at.size, DOF, -1)
         through = through.reshape(*slope.shape[:2], -1, dof).swapaxes(1, 2)
         np.add.at(by_nodes, (owner[:, None], part.nodes - nodes[owner, :1]), through)
-        values, vectors = np.linalg.eigh(part.cov)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None] @ vectors.swapaxes(1, 2)
-        np.add.at(std, owner, np.linalg.norm(slope @ root, axis=2))
-        np.add.at(common, owner, slope @ root)
-    share = std / np.maximum(np.linalg.norm(common, axis=2), _NOTHING)
-    common *= share[..., None]
-    left = common @ common.swapaxes(1, 2)
+    return nodes, by_nodes
+
+
+def _in_time(by_state: Array, cov: Array) -> Array:
+    """What the bridge in time leaves open (M, r, r), by slopes (M, r, N, 18) at the nodes."""
+    each = by_state.swapaxes(1, 2) @ _root(cov)
+    std, common = np.linalg.norm(each, axis=-1).sum(axis=1), each.sum(axis=1)
+    common *= (std / np.maximum(np.linalg.norm(common, axis=2), _NOTHING))[..., None]
+    left: Array = common @ common.swapaxes(1, 2)
     np.einsum("mrr->mr", left)[...] = std**2
-    return nodes, by_nodes, left
+    return left
+
+
+def _along(by_strain: Array, cov: Array, s: Array, nodes: Index) -> Array:
+    """What the bridges between nodes leave open (M, r, r), each an error of its own.
+
+    The strain's error is the slope of the pose's, which is zero at the nodes: where a straight
+    channel goes on beyond an interval nothing is open.
+
+    Args:
+        by_strain: Slopes (M, r, P, 6) by the strain at places.
+        cov: What is open of the poses there (M, P, 6, 6), at nodes by the bridge in time alone.
+        s: The places (P,), m.
+        nodes: Which of them are nodes.
+    """
+    steps, interval = np.diff(s), np.searchsorted(nodes, np.arange(s.size - 1), side="right") - 1
+    begin, end = nodes[interval], nodes[interval + 1]
+    share = ((s[:-1] - s[begin]) / (s[end] - s[begin]))[:, None, None]
+    in_time = cov[:, begin] * (1.0 - share) + cov[:, end] * share
+    root = _root(np.concatenate([cov[:, :-1] - in_time, np.zeros_like(cov[:, -1:])], axis=1))
+    weight = by_strain / (0.5 * (np.append(steps, 0.0) + np.append(0.0, steps)))[:, None]
+    weight = 0.5 * (weight[:, :, :-1] + weight[:, :, 1:])
+    sums = np.add.reduceat(weight.swapaxes(1, 2) @ np.diff(root, axis=1), nodes[:-1], axis=1)
+    left: Array = np.einsum("mkra,mkqa->mrq", sums, sums)
+    return left
+
+
+def _root(cov: Array) -> Array:
+    """Symmetric square roots (…, d, d) of covariances, of negative ones zero."""
+    values, vectors = np.linalg.eigh(cov)
+    scaled = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    out: Array = scaled @ vectors.swapaxes(-1, -2)
+    return out
 
 
 def interpolated(

@@ -66,7 +66,7 @@ class Readings(Brief):
         optional_settings: Declares those of them that a recording may leave out.
         spans: Declares that a reading depends on the whole robot at its time: it has
             `residual_over(arclength, at)` and `jacobian_over(arclength, at)` for states (M, N) at
-            the arclength nodes in the place of `residual` and `jacobian`.
+            nodes and places between them in the place of `residual` and `jacobian`.
         value_shape: Declares the shape of one reading's value; None for any.
         per_reading: Declares the fields of one's own that have a row a reading.
         accelerates: Declares that it needs the state's acceleration: `residual` and `jacobian`
@@ -303,12 +303,17 @@ class Readings(Brief):
         """∂residual/∂[pose, strain, velocity] (M, rows, 18), poses perturbed on the right."""
         return numerical_jacobian(self, at)
 
+    @property
+    def longest_step(self) -> float:
+        """How far apart, m, the states may be that `residual_over` takes."""
+        return np.inf
+
     def residual_over(self, arclength: Array, at: State) -> Array:
-        """Expected minus measured (M, rows) from states (M, N) at nodes (N,), of what `spans`."""
+        """Expected minus measured (M, rows) from states (M, N) at places (N,), of what `spans`."""
         raise NotImplementedError(f"{type(self).__name__} must define residual_over(s, at).")
 
     def jacobian_over(self, arclength: Array, at: State) -> Array:
-        """∂residual/∂[pose, strain, velocity] of the nodes (M, rows, N, 18), of what `spans`."""
+        """∂residual/∂[pose, strain, velocity] of the places (M, rows, N, 18), of what `spans`."""
         raise NotImplementedError(f"{type(self).__name__} must define jacobian_over(s, at).")
 
 

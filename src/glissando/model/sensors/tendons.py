@@ -16,6 +16,7 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, STRAIN, State
 from glissando.model.tendons.channel import Channel
 
+_A_TURN = 16.0  # places of a channel that winds about the backbone
 _STRAIGHT = np.array([0.0, 0.0, 1.0])
 _EACH = {"radius": "m", "angle": "rad", "end": "m"}
 _MORE = {"pitch": "m", "slack": "m", "compliance": "m", "one_sided": "1"}
@@ -92,21 +93,26 @@ class TendonReadings(Readings, kind="tendon"):
             object.__setattr__(self, name, np.broadcast_to(value, count).copy())
         return (2 * count if np.any(self.compliance) else count,)
 
+    @property
+    def longest_step(self) -> float:
+        """A part of the shortest turn, m: infinite where all channels are straight."""
+        return float(np.abs(self.pitch[self.pitch != 0.0]).min(initial=np.inf)) / _A_TURN
+
     def residual_over(self, arclength: Array, at: State) -> Array:
         """Expected minus measured (M, T), m, from the states along the whole robot.
 
         Args:
-            arclength: Nodes (N,), m.
-            at: States (M, N) at the nodes.
+            arclength: Places (N,), m, from the base to the tip.
+            at: States (M, N) there.
 
         Raises:
-            SensorError: A tendon ends beyond the last node.
+            SensorError: A tendon ends beyond the last place.
         """
         residual, _ = self._over(arclength, at)
         return residual
 
     def jacobian_over(self, arclength: Array, at: State) -> Array:
-        """∂residual/∂[pose, strain, velocity] of each node (M, T, N, 18)."""
+        """∂residual/∂[pose, strain, velocity] at each place (M, T, N, 18)."""
         return self._over(arclength, at)[1]
 
     def _over(self, arclength: Array, at: State) -> tuple[Array, Array]:
