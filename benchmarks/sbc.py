@@ -23,7 +23,7 @@ MORE = 3  # times as many sessions, to see whether ranks outside their bands are
 
 
 def judged(robot, sessions, wrong, seed):
-    """A dictionary a prior and estimator: the right prior, once more if in doubt, the wrong ones."""
+    """A dictionary a prior and estimator: the right prior, again if in doubt, and wrong ones."""
     right = list(ranked(robot, sessions, 1.0, seed))
     yield from right
     if any(map(outside, right)):
