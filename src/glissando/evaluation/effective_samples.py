@@ -31,18 +31,29 @@ def effective_errors(white: Array) -> float:
 
     True confidence has them vary about zero, so one that lasts is correlation as well, which a
     series of their squares about its own mean does not show. Squares of Gaussian errors correlate
-    by the square of what the errors do, and count until that is what chance makes of none.
+    by the square of what the errors do, and count until that is what chance makes of none. By how
+    much axes differ in that counts as far as it is more than chance (Bartlett 1946).
     """
-    count, rows = white.shape
-    if count < 4 or not np.any(white):
+    count, varies = len(white), np.any(white, axis=0)
+    if count < 4 or not varies.any():
         return float(max(count, 1))
-    squares = _autocorrelation(white) ** 2
-    pairs = squares[0 : count - 1 : 2] + squares[1:count:2]
-    none = np.flatnonzero(pairs < _CHANCE / (count * rows))
-    last = min(2 * int(none[0]) if none.size else count, int(_LONGEST * count))
-    left = 1.0 - np.arange(last) / count  # of the pairs, and of their sum
-    spread = 2.0 * float(np.sum(squares[:last] / left)) - 1.0
+    white = white[:, varies]
+    none = _CHANCE / white.size
+    together = _autocorrelation(white) ** 2
+    each = np.mean([_autocorrelation(axis[:, None]) ** 2 for axis in white.T], axis=0)
+    by_chance = (1.0 - 1.0 / white.shape[1]) * _spread(together, none) / count
+    spread = _spread(together + np.maximum(each - together - by_chance, 0.0), none)
     return float(np.clip(count / max(spread, 1e-12), 1.0, count))
+
+
+def _spread(squares: Array, none: float) -> float:
+    """Sum of squared correlations (M,) at all lags of both signs, until a pair is that of none."""
+    count = squares.size
+    pairs = squares[0 : count - 1 : 2] + squares[1:count:2]
+    over = np.flatnonzero(pairs < none)
+    last = min(2 * int(over[0]) if over.size else count, int(_LONGEST * count))
+    left = 1.0 - np.arange(last) / count  # of the pairs, and of their sum
+    return 2.0 * float(np.sum(squares[:last] / left)) - 1.0
 
 
 def _autocorrelation(values: Array) -> Array:
