@@ -1,11 +1,12 @@
 """Consistency as a product: honest confidence is called true as often as it should, others not."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 from rich.console import Console
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from command_line import run
@@ -15,7 +16,7 @@ from glissando.cli.main import main
 from glissando.cli.tables import site_table
 from glissando.evaluation.consistency import LEVELS, Consistency, check
 from glissando.evaluation.effective_samples import effective_errors, effective_samples
-from glissando.evaluation.metrics import Errors, errors_against, pool
+from glissando.evaluation.metrics import Errors, errors_against, joined, pool
 
 
 def series(rng, count, rho, scale=1.0):
@@ -104,6 +105,13 @@ def test_errors_of_which_one_axis_lasts_are_not_called_false(last):
         (judged,) = check([errors])
         wrong += judged.verdict != "true"
     assert wrong <= 0.12 * 200
+
+
+def test_errors_that_are_joined_keep_how_wide_a_tube_would_hold_them():
+    none = np.full(3, np.nan)
+    errors = Errors("a", *np.zeros((4, 3)), none, np.arange(3.0))
+    whole = joined([errors, replace(errors, name="b")])
+    np.testing.assert_array_equal(whole.sigmas, [0.0, 1.0, 2.0, 0.0, 1.0, 2.0])
 
 
 def test_a_constant_series_is_worth_one_sample():

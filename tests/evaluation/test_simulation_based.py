@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from draws import generators, law, states
-from glissando import Grid, SensorParameter, load_robot
+from glissando import CoilReadings, Grid, SensorParameter, load_robot
 from glissando.cli.main import main
 from glissando.errors import GlissandoError
 from glissando.evaluation.prior_predictive import PriorPredictive, noisy_values, session_layout
@@ -81,6 +81,23 @@ def test_values_are_read_with_the_noise_that_is_stated(rng, kind):
     if kind == "coil":
         with pytest.raises(GlissandoError, match="a sensor in a channel are not drawn"):
             noisy_values(blank.changed(channel=Channel(0.02)), at, rng)
+
+
+def test_sliding_sensors_are_where_they_are_as_surely_as_stated():
+    robot, at = load_robot(ROBOT), np.linspace(0.0, 0.5, 5)
+    slides = CoilReadings(
+        time=at, arclength=np.full(5, 0.375), values=np.tile(np.eye(4), (5, 1, 1)),
+        cov=np.repeat([1e-8, 1e-6], [3, 2]), arclength_std=5e-3,
+    )  # fmt: skip
+    predictive = PriorPredictive(robot, robot.grid(0.0, 0.5), [slides])
+    rng, misses = np.random.default_rng(0), []
+    for _ in range(100):
+        session = predictive.draw(rng)
+        (read,) = session.readings
+        k = np.abs(predictive.fine.time[:, None] - read.time).argmin(axis=0)
+        n = np.abs(predictive.fine.arclength[:, None] - read.arclength).argmin(axis=0)
+        misses.append(read.residual(session.truth.take((k, n)))[:, 2])
+    assert np.std(misses) == pytest.approx(5e-3, rel=0.1)
 
 
 @pytest.mark.slow

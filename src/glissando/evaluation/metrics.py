@@ -201,7 +201,9 @@ def _rotation_error(estimated: Array, truth: Readings) -> Array:
 
 def joined(errors: Sequence[Errors]) -> Errors:
     """Errors of one stream, one part after another; its name is the first part's."""
-    arrays = ("arclength", "position", "rotation", "nees_position", "nees_rotation", "time")
+    arrays = (
+        "arclength", "position", "rotation", "nees_position", "nees_rotation", "time", "sigmas",
+    )  # fmt: skip
     parts: dict[str, Any] = {n: np.concatenate([getattr(e, n) for e in errors]) for n in arrays}
     for name in ("white_position", "white_rotation"):
         each = [getattr(e, name) for e in errors]

@@ -171,7 +171,11 @@ class PriorPredictive:
         for parameter, columns in parameters:
             if parameter.kind == "mount":
                 mounted = parameter.shift(mounted, drawn.values[k, columns])
-        read = mounted.changed(values=noisy_values(mounted, truth.take((k, n)), rng))
+        at = truth.take((k, n))
+        if np.any(stream.arclength_std):  # where a sliding sensor really was
+            off = np.broadcast_to(stream.arclength_std, k.shape) * rng.standard_normal(k.size)
+            at = replace(at, pose=at.pose @ se3.exp(off[:, None] * at.strain))
+        read = mounted.changed(values=noisy_values(mounted, at, rng))
         read = read.changed(mount=placed.mount)
         for parameter, columns in parameters:
             if parameter.kind != "mount":  # the reading is off by what a correction takes away

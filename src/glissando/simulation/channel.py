@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.integrate import cumulative_simpson
 
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
@@ -11,7 +12,7 @@ from glissando.simulation.dynamics.motion import DynamicMotion
 from glissando.simulation.motion import Motion
 from glissando.simulation.rod import STRAIGHT, Tendon
 
-_FINE = 401  # places along a channel whose straight length is asked for
+_FINE = 801  # places along a channel whose length is asked for
 
 
 def routed(channel: Channel, length: float) -> Tendon:
@@ -42,11 +43,16 @@ def poses_in(channel: Tendon, motion: Motion | DynamicMotion, travel: Array, tim
     """
     mesh, length = motion.mesh, motion.rod.length
     instants, which = np.unique(time, return_inverse=True)
-    speed = np.linalg.norm(_along(channel, mesh.points, motion.strains(instants)), axis=-1)
-    ends = np.full(instants.size, length), speed @ mesh.weights
-    s = np.concatenate([[0.0], mesh.points, ends[0][:1]])
-    way = np.column_stack([np.zeros(instants.size), speed @ mesh.integral.T, ends[1]])
-    inside = np.clip(travel, 0.0, ends[1][which])
+    s = np.linspace(0.0, length, _FINE)
+    strain = np.stack(
+        [
+            mesh.interpolate(np.broadcast_to(each, (s.size, *each.shape)), s)
+            for each in motion.strains(instants)
+        ]
+    )
+    speed = np.linalg.norm(_along(channel, s, strain), axis=-1)
+    way = cumulative_simpson(speed, x=s, initial=0.0)
+    inside = np.clip(travel, 0.0, way[which, -1])
     behind = [np.interp(x, way[k], s - way[k]) for x, k in zip(inside, which, strict=True)]
     place = np.clip(inside + behind, 0.0, length)
     at = motion.at(place, time)

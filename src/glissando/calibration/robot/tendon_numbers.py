@@ -233,19 +233,8 @@ class TendonModel:
         The adjoint of the equilibrium: what a change of its equations does to the tip.
         """
         turn = self._turn(numbers, at)
-        count = at.strain.shape[1]
-        each = np.zeros((len(turn), count, 6, 6 * count))
-        for piece in range(count):
-            each[:, piece, :, 6 * piece : 6 * piece + 6] = np.eye(6)
-        by_strain = turn @ at.pose_by(each)[:, -1]
-        by_strain = by_strain.reshape(len(turn), 3, count, 6).swapaxes(1, 2)
-        # ∂tension/∂displacement is (1 + f′ A)⁻¹ f′: with f′ taken out, that of a tension's misfit
-        yielding = at.yielding
-        by_tension = np.sum(by_strain @ at.strain_by_tension(), axis=1) @ yielding
-        through = at.rod.length[:, None] * (at.slope[..., None, None] * at.reach)
-        through = np.einsum("mat,mtpi->mpai", by_tension, through)
-        by_wrench = -(by_strain + through) @ at.compliance
-        return by_wrench.swapaxes(1, 2), by_tension
+        by_wrench, by_tension = (turn @ at.pose_by(slope)[:, -1] for slope in at.responses())
+        return by_wrench.reshape(len(turn), 3, -1, 6), by_tension
 
 
 def _prior(tendons: Tendons, segments: int, length: float) -> dict[str, Array]:

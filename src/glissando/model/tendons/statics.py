@@ -134,6 +134,21 @@ class Equilibrium:
         rubbed = np.linalg.solve(whole, slope.reshape(m, 6 * count, -1))
         return np.asarray(rubbed.reshape(slope.shape))
 
+    def responses(self) -> tuple[Array, Array]:
+        """Slopes (M, P, 6, ·) of strain by what wrenches and tensions are off by.
+
+        The misfit of the balance in each number of the sections' wrenches (6 P), and that of each
+        tension (T) by its stretch, friction and all.
+        """
+        m, count = self.strain.shape[:2]
+        each = np.eye(6 * count).reshape(count, 6, 6 * count)
+        each = np.broadcast_to(each, (m, *each.shape))
+        by_tension = -self.compliance @ (self.pull @ self.yielding[:, None])
+        return (
+            -self._rubbing(self.strain_by(each, self.slope), self.slope),
+            self._rubbing(by_tension, self.slope),
+        )
+
     @cached_property
     def _mean_by_moment(self) -> Array:
         """Slopes (M, P, 6, 2 P) of the strain by white bending moments of unit density."""
