@@ -15,6 +15,7 @@ from glissando.hardware.simulated_devices.aurora_device import Device, Nature, S
 from glissando.hardware.simulated_devices.faults import AuroraFaults, Dice, parse_faults
 from glissando.hardware.simulated_devices.scene import Scene, SceneCoil
 from glissando.hardware.simulated_devices.travel import MESSAGE, Travel
+from glissando.hardware.simulated_devices.vicon import Sender
 from glissando.simulation.imperfections import Imperfections
 
 
@@ -33,6 +34,19 @@ def say(dev, text, now=1.0):
 def asked(dev, *texts, now=1.0):
     """The texts of the replies, without their CRCs."""
     return [say(dev, text, now)[:-5].decode() for text in texts]
+
+
+@pytest.mark.parametrize("begins", [0.0, 5.0])
+def test_tracker_and_motion_capture_see_the_same_moment_whenever_a_scene_begins(begins):
+    poses = np.tile(np.eye(4), (2, 2, 1, 1))
+    poses[:, 1, 2, 3], poses[1, :, 0, 3] = 0.1, 0.05
+    coil = SceneCoil(0.1, -1.0, np.eye(4), 0)
+    flaws = Imperfections().without("all")
+    at = begins + np.array([0.0, 1.0]), np.array([0.0, 0.1])
+    scene = Scene(*at, poses, np.eye(4), (coil,), flaws)
+    seen = Sensing(scene, None, 100.0, 100.0, 40.0).values(20)[0, 4]
+    assert seen == pytest.approx(25.0)
+    assert 1e3 * Sender(scene, {"tip": 0.1})._poses(0.5)[0, 0, 3] == pytest.approx(25.0)
 
 
 READY = ["INIT:", "PINIT:0A", "PINIT:0B", "PENA:0AD", "PENA:0BD"]

@@ -7,7 +7,7 @@ import multiprocessing
 import sys
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -238,6 +238,7 @@ class _Status:
         self._recent: deque[Update] = deque(maxlen=_RECENT)
         self._count, self._shown = 0, time.monotonic()
         self._line: Line | None = None
+        session.waiting = self._wait
 
     def __enter__(self) -> _Status:
         waiting = "Waiting for the first reading; Ctrl-C ends it."
@@ -256,13 +257,20 @@ class _Status:
         """Renew the line, if it is time to."""
         self._recent.append(update)
         self._count += 1
+        self._renew(self._text)
+
+    def _wait(self, why: str) -> None:
+        """Say why there is no reading yet."""
+        self._renew(lambda: f"Waiting for the first reading ({why}); Ctrl-C ends it.")
+
+    def _renew(self, text: Callable[[], str]) -> None:
         if time.monotonic() - self._shown < (_TERMINAL if self._line else _PLAIN):
             return
         self._shown = time.monotonic()
         if self._line is not None:
-            self._line.update(Text(self._text()))
+            self._line.update(Text(text()))
         else:
-            print(self._text(), file=sys.stderr, flush=True)
+            print(text(), file=sys.stderr, flush=True)
 
     def _text(self) -> str:
         last, smoother = self._recent[-1], self._session.smoother

@@ -195,6 +195,25 @@ def test_a_peer_that_sends_nothing_but_images_is_named():
         assert source.problem.endswith("sends nothing that is read here")
 
 
+@pytest.mark.parametrize(
+    ("device", "pose", "problem"),
+    [
+        ("Tip", np.eye(4), "sends Tip; placed are tip"),
+        ("tip", np.diag([1.0, 2.0, 1.0, 1.0]), "tip sent no rigid motion nearby"),
+    ],
+)
+def test_why_nothing_is_a_reading_is_named(device, pose, problem):
+    source = IgtlSource("igtl://127.0.0.1:1", ROBOT, [Placement("tip", 0.4)])
+    source._waiting = [(time.monotonic(), Message(c.Transform(pose), device))]
+    with source:
+        assert source.read(SessionClock()) == []
+        source._endpoint.peers = {"127.0.0.1:1": ""}
+        assert source.problem.endswith(problem)
+        source._waiting = [(time.monotonic(), Message(c.Transform(np.eye(4)), "tip"))]
+        assert len(source.read(SessionClock())) == 1
+        assert not source.problem
+
+
 def test_a_device_that_slides_is_not_placed_before_a_travel_is_known():
     source = IgtlSource("igtl://127.0.0.1:1", ROBOT, [Placement("coil", 0.4, "coil", True)])
     message = Message(c.TrackingData((c.Tool("coil", c.TOOL_5D, np.eye(4)),)), "tracker")

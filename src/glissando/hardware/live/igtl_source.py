@@ -69,7 +69,8 @@ class IgtlSource:
         self._newest, self._origin = -1, 0
         self._kinds: dict[str, str] = {}
         self._waiting: list[tuple[float, Message]] = []
-        self._lacks_travel = False
+        self._lacks_travel, self._sound, self._invalid = False, False, ""
+        self._strangers: dict[str, None] = {}
 
     def __enter__(self) -> Self:
         self._endpoint.__enter__()
@@ -97,6 +98,11 @@ class IgtlSource:
         if self.status or not np.isfinite(self._heard):
             unread = " that is read here" if self.counts["of unread types"] else ""
             return self.status or f"{self.name} sends nothing{unread}"
+        if self._invalid and not self._sound:
+            return self._invalid
+        if self._strangers and not self._sound:
+            placed = ", ".join(self._placements) or "none"
+            return f"{self.name} sends {', '.join(self._strangers)}; placed are {placed}"
         if not self._lacks_travel:
             return ""
         ended = self._slide.known
@@ -116,6 +122,7 @@ class IgtlSource:
         for arrival, message in waiting:
             with self._counted():
                 out += self._readings(message, arrival, clock)
+        self._sound |= bool(out)
         return out
 
     @contextmanager
@@ -128,8 +135,9 @@ class IgtlSource:
         except NoTravelError:
             self._own["no travel"] += 1
             self._lacks_travel = True
-        except GlissandoError:
+        except GlissandoError as problem:
             self._own["invalid"] += 1
+            self._invalid = str(problem).partition(";")[0]
 
     def _readings(
         self, message: Message, arrival: float, clock: SessionClock
@@ -149,6 +157,8 @@ class IgtlSource:
                 place = self._placements.get(name)
                 if place is None:
                     self._own["unplaced"] += 1
+                    if len(self._strangers) < _MOST:
+                        self._strangers[name] = None
                 elif self._is_new(name, value):
                     with self._counted():
                         yield self._reading(place, place.kind or kind, time, value)

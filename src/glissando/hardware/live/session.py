@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
@@ -52,6 +52,9 @@ class LiveSession:
             those in which a source was `busy`.
         clock: Session time; that of a source which has one, unless given.
 
+    Attributes:
+        waiting: Called with why nothing has come, again and again until something has.
+
     Raises:
         GlissandoError: An argument is wrong; while it runs, a source, a sink or a device failed.
         ImplausibleError: A source's first readings are not of now: clocks differ.
@@ -95,6 +98,7 @@ class LiveSession:
         self._heard = 0.0
         self._timely: set[str] = set()
         self._off = ""
+        self.waiting: Callable[[str], None] | None = None
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
@@ -132,6 +136,8 @@ class LiveSession:
             if self._finished():
                 return
             self._require_heard()
+            if self.waiting is not None:
+                self.waiting(self._why_silent)
             time.sleep(_LOOK)
         first = min(float(r.time.min()) for r in arrived)
         number = skip = 0
@@ -218,12 +224,15 @@ class LiveSession:
             self._heard = time.monotonic()
         silent = time.monotonic() - self._heard
         if silent > self.patience:
-            problems = [self._off, *(source.problem for source in self.sources)]
-            why = "; ".join(filter(None, problems)) or "no reading came"
             raise DeviceError(
-                f"No source has sent anything usable for {silent:.0f} s ({why}); check that the "
-                f"senders run, and where their devices sit on the robot."
+                f"No source has sent anything usable for {silent:.0f} s ({self._why_silent}); "
+                f"check that the senders run, and where their devices sit on the robot."
             )
+
+    @property
+    def _why_silent(self) -> str:
+        problems = [self._off, *(source.problem for source in self.sources)]
+        return "; ".join(filter(None, problems)) or "no reading came"
 
 
 def _warm_up(robot: Robot, rate: float) -> None:

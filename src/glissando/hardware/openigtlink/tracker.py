@@ -41,7 +41,8 @@ def poses_in(message: Message, frame: WireFrame) -> Iterator[tuple[str, str, Arr
         pose = np.eye(4)
         pose[:3, 3] = content.position
         if content.quaternion is not None:
-            pose[:3, :3] = se3.rotation_from_quaternion(np.roll(content.quaternion, 1))
+            turn = se3.rotation_from_quaternion(np.roll(content.quaternion, 1))
+            pose[:3, :3] = turn * np.sum(np.square(content.quaternion))  # is_rigid sees its norm
         kind = "position" if content.quaternion is None else "pose"
         yield message.device, kind, frame.pose_in(pose)
 
@@ -54,9 +55,9 @@ def is_rigid(pose: Array) -> bool:
 
 
 def normalized(pose: Array) -> Array:
-    """The pose with a rotation that is one to the last digit."""
-    turn = se3.rotation_from_quaternion(se3.quaternion(pose[:3, :3]))
-    return se3.pose(turn, pose[:3, 3])
+    """The pose with the nearest rotation."""
+    left, _, right = np.linalg.svd(pose[:3, :3])
+    return se3.pose(left @ right, pose[:3, 3])
 
 
 class IgtlTracker:

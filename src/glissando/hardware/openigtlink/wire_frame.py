@@ -10,11 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from glissando.errors import DeviceError
 from glissando.geometry.se3 import Array
 from glissando.hardware.openigtlink.address import Address
 
-_PREFIXES = {0: 1.0, 0x9: 1e-1, 0xA: 1e-2, 0xB: 1e-3, 0xC: 1e-6}  # of a SENSOR's unit
-_METRE = 0x01
+_PREFIXES = {
+    0x0: 1.0, 0x1: 1e1, 0x2: 1e2, 0x3: 1e3, 0x4: 1e6, 0x5: 1e9, 0x6: 1e12, 0x7: 1e15,
+    0x9: 1e-1, 0xA: 1e-2, 0xB: 1e-3, 0xC: 1e-6, 0xD: 1e-9, 0xE: 1e-12, 0xF: 1e-15,
+}  # fmt: skip
+"""Of a SENSOR's unit, by its first four bits; six units of ten bits follow."""
+_METRES = (0x01 << 54, 0x01 << 54 | 1 << 50)  # with or without its exponent of one
+_UNITS = (1 << 60) - 1
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,14 @@ class WireFrame:
         return points * np.array(self.signs) / self.scale
 
     def length_unit(self, unit: int) -> float:
-        """Metres of a SENSOR's unit; the frame's own where it states no length."""
-        if (unit >> 54) & 0x3F != _METRE:
+        """Metres of a SENSOR's unit; the frame's own where it states none.
+
+        Raises:
+            DeviceError: The unit is none of length.
+        """
+        prefix = _PREFIXES.get(unit >> 60)
+        if not unit & _UNITS and prefix == 1.0:
             return self.scale
-        return _PREFIXES.get(unit >> 60, 1.0)
+        if unit & _UNITS not in _METRES or prefix is None:
+            raise DeviceError(f"A place in the unit {unit:#018x} is no length; send metres.")
+        return prefix

@@ -85,7 +85,7 @@ class Sensing:
         scene, moment = self._scene, self._born + index / self._rate
         travel = self._travel.at(moment) if self._travel else 0.0
         rng = np.random.default_rng([scene.seed, 1, index])
-        pose = scene.T_wt @ scene.coil_poses(moment - self._epoch, travel)
+        pose = scene.T_wt @ scene.coil_poses(scene.time[0] + moment - self._epoch, travel)
         noise = rng.standard_normal((len(pose), 5))
         pose = pose @ se3.exp(error_twists(noise, self._bias, pose, scene.flaws))
         pose = se3.inverse(scene.T_wt) @ pose

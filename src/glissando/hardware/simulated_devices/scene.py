@@ -80,7 +80,7 @@ class Scene:
             raise SimulationError("A scene has numbers that are not finite; leave those nodes out.")
 
     def pose(self, arclength: ArrayLike, time: float) -> Array:
-        """T_wb (C, 4, 4) at arclengths (C,) m and a time in s since the scene began."""
+        """T_wb (C, 4, 4) at arclengths (C,) m and a time of the scene, s."""
         k, share = _between(self.time, np.atleast_1d(float(time)))
         n, along = _between(self.arclength, np.asarray(arclength, dtype=float))
         ends = np.stack([n, np.minimum(n + 1, self.arclength.size - 1)])
