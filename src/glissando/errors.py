@@ -70,6 +70,10 @@ class OldNameWarning(UserWarning):
     """A file names something as it was called before; it is read, and should be renamed."""
 
 
+class OtherTimesWarning(UserWarning):
+    """A stream has no reading at the times that it is wanted for."""
+
+
 class PlanWarning(UserWarning):
     """A plan of the sensor's path came too late or not at all, or leaves something out."""
 

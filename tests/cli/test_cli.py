@@ -66,6 +66,21 @@ def test_a_reading_that_is_far_off_is_named_and_every_command_goes_on(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("command", ["estimate", "replay"])
+def test_truth_of_another_time_is_named(recording, tmp_path, capsys, command):
+    late = tmp_path / "late"
+    shutil.copytree(recording, late)
+    table = np.loadtxt(late / "truth2.csv", delimiter=",", skiprows=1)
+    table[:, 0] += 120.0
+    header = (late / "truth2.csv").read_text().splitlines()[0]
+    np.savetxt(late / "truth2.csv", table, delimiter=",", header=header, comments="")
+    assert run(command, late, "--window", 0, 1, "--json") == 0
+    said = capsys.readouterr().err
+    assert "truth2 judges nothing: its truth is of 120 to " in said
+    assert "bring all streams to one" in said
+
+
+@pytest.mark.slow
 def test_an_estimate_starts_from_an_earlier_one_and_says_how_to_go_on(recording, tmp_path, capsys):
     out = tmp_path / "out"
     assert run("estimate", recording, "--window", 0, 1, "--max-iterations", 1) == 1
@@ -174,7 +189,7 @@ def test_a_query_is_not_overwritten_by_its_answers(recording, tmp_path, capsys):
     query.write_text("time,arclength\n0.1,0.1\n")
     arguments = ["--window", 0, 1, "--query", query, "--out", tmp_path]
     assert run("estimate", recording, *arguments) == 2
-    assert "would overwrite" in capsys.readouterr().err
+    assert "would replace data" in capsys.readouterr().err
     assert query.read_text().count("\n") == 2
 
 

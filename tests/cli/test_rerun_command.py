@@ -13,6 +13,7 @@ import pytest
 from glissando import GlissandoError, simulate
 from glissando.cli import estimate, outputs, study
 from glissando.cli.main import main
+from glissando.cli.rerun import _written
 from glissando.evaluation.reproduction import SAME, differences
 from glissando.io.shipped_robots import robot_file
 from glissando.simulation import write_session
@@ -78,6 +79,14 @@ def test_a_rerun_gives_the_same_numbers(estimated, capsys):
     assert found["posterior"] == {"mean_in_std": 0.0, "std": 0.0}
     assert main(["rerun", str(report.parent)]) == 0  # the folder will do
     assert capsys.readouterr().out == "The same to the last digit.\n"
+
+
+def test_a_renamed_report_is_compared_with_the_one_that_is_written(tmp_path):
+    for name in ("check.json", "report.json"):
+        assert _written(tmp_path, "mine.json").name == ("mine.json", "check.json")[name[0] == "r"]
+        (tmp_path / name).write_text("{}")
+    assert _written(tmp_path, "mine.json").name == "report.json"
+    assert _written(tmp_path, "check.json").name == "check.json"
 
 
 @pytest.mark.slow

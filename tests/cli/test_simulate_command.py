@@ -54,6 +54,13 @@ def test_a_hold_stays_where_it_is_told_and_a_traverse_reaches_the_base(tmp_path)
     assert slid.max() > 0.699
 
 
+def test_gravity_in_millimetres_is_refused(tmp_path, capsys):
+    shape = tmp_path / "bent.toml"
+    shape.write_text("tensions = [12, 24]\ngravity = [0, 0, 9810]\n")
+    assert simulate(tmp_path / "s", "--shape", shape, "--slide", "hold", "--duration", 1) == 2
+    assert "gravity has length 9810; give the acceleration in m/s²" in capsys.readouterr().err
+
+
 def test_shapes_and_slides_come_from_files(tmp_path):
     shape, path = tmp_path / "my.toml", tmp_path / "my.csv"
     shape.write_text(

@@ -36,6 +36,25 @@ def strange(rng, time, length, count, wild):
     return readings[rng.integers(3)]
 
 
+def test_arclengths_in_millimetres_are_named_once():
+    robot = load_robot("tdcr466")
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for time in np.arange(5) / 10.0:
+            smoother.add(
+                PositionReadings(
+                    time=[time], arclength=[466.0], values=[[0.0, 0.0, 0.466]], cov=1e-6, name="tip"
+                )
+            )
+            smoother.advance(float(time))
+    (said,) = (str(w.message) for w in caught)
+    assert said == (
+        "tip reads at 466 m of a robot of 0.466 m and is left out; give metres, not millimetres."
+    )
+    assert smoother.dropped["tip"]["off the robot"] == 5
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:The window began again", "ignore:The estimate is")
 @pytest.mark.parametrize("seed", range(6))

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from glissando import Posterior, estimate
 from glissando.cli.main import main
 from glissando.errors import GlissandoError, OutsideGridError
-from glissando.io.foreign import export
+from glissando.io.foreign import export, read_tracks
 from glissando.io.foreign.trajectories import SCHEMAS
 from glissando.io.netcdf import save_posterior
 from glissando.io.provenance import stated_format
@@ -33,6 +33,14 @@ def test_a_tum_file_holds_time_position_and_quaternion_with_w_last(posterior, tm
     np.testing.assert_allclose(table[:, 1:4], at.position, atol=1e-10)
     turned = Rotation.from_quat(table[:, 4:]).as_matrix()  # SciPy too has w last
     np.testing.assert_allclose(turned, at.pose[:, :3, :3], atol=1e-10)
+
+
+def test_what_was_exported_as_tum_is_imported_as_it_is(posterior, tmp_path):
+    export(posterior, tmp_path / "tip.tum", rate=50.0)
+    (track,) = read_tracks(tmp_path / "tip.tum")
+    assert track.name == "tip"
+    at = posterior.at(LENGTH, track.time)
+    np.testing.assert_allclose(track.values, at.pose, atol=1e-9)
 
 
 def test_without_an_arclength_tum_is_the_tip_at_the_time_nodes(posterior, tmp_path):

@@ -78,6 +78,7 @@ def test_a_robot_file_travels_with_the_recording(tmp_path):
         (["--arclength", "top=0.1"], "The files hold no 'top'; they hold tip"),
         (["--arclength", "tip"], "'tip' is no NAME=VALUE"),
         (["--arclength", "tip=far"], "'far' is not a number"),
+        (["--arclength", "tip=186.5"], "tip=186.5 m is on no robot; give metres"),
         (["--arclength", "tip=nan"], "'nan' is not a number"),
         (["--arclength", "tip=0", "--truth", "top"], "The files hold no 'top'"),
         (["--arclength", "tip=0", "--shift", "tip=soon"], "--shift 'soon' is not a number"),

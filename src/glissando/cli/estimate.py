@@ -14,7 +14,12 @@ from rich.table import Table
 
 from glissando.cli.console import Console
 from glissando.cli.loads import loads_json, print_loads, scanned, write_contacts
-from glissando.cli.outputs import require_packages, require_results_folder, stated
+from glissando.cli.outputs import (
+    require_packages,
+    require_results_folder,
+    require_spared,
+    stated,
+)
 from glissando.cli.progress import working
 from glissando.cli.shared import (
     Commands,
@@ -31,7 +36,7 @@ from glissando.evaluation.metrics import Errors, pool
 from glissando.evaluation.run import Run, checked_window, write_run
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import renewed_folder
-from glissando.io.query_csv import read_query, write_query
+from glissando.io.query_csv import QUERY_COLUMNS, read_query, write_query
 from glissando.io.recording import Recording
 from glissando.model.robot import Robot
 from glissando.model.seconds import seconds
@@ -164,7 +169,7 @@ def _print(run: Run, console: Console) -> None:
         stays = "" if parameter["observed"] else "; as stated, the readings do not determine it"
         console.print(f"  {escape(parameter['name'])} ({kind}): {text}{stays}")
     if not run.errors:
-        console.print("No truth streams: nothing to compare with. Name some with --truth.")
+        console.print("No truth inside the window to compare with; name streams with --truth.")
         return
     headings = ("s (m)", "samples", *(column[0] for column in _COLUMNS))
     table = site_table("RMSE against truth, and whether its confidence is true", headings)
@@ -199,10 +204,10 @@ def _checked_query(
             f"{arclength[row]:g} m lies outside {seconds(*window, decimals=6)} s or the robot, "
             f"0 to {robot.length:g} m; correct or delete that line."
         )
-    if _answers(options).resolve() == options.query.resolve():
-        raise GlissandoError(
-            f"The answers would overwrite {options.query}; give another --out folder or name."
-        )
+    answers, begins = _answers(options), (",".join(QUERY_COLUMNS),)
+    if options.out is None:
+        require_results_folder(answers.parent)
+    require_spared("--query: the answers,", answers, options.query, begins=begins)
     return time, arclength
 
 

@@ -24,11 +24,12 @@ from glissando.errors import (
     GlissandoError,
     NoShapeError,
     OldNameWarning,
+    OtherTimesWarning,
     PlanWarning,
     is_interrupt,
 )
 
-_OWN = (OldNameWarning, PlanWarning, FalseConfidenceWarning)
+_OWN = (OldNameWarning, PlanWarning, FalseConfidenceWarning, OtherTimesWarning)
 _AGAIN = 0.05  # s after which an interrupt that was lost comes again
 _CLEAN_UP = 15.0  # s in which a second signal does not interrupt how the first one ends
 

@@ -154,7 +154,7 @@ def _print(result: Replay, console: Console) -> None:
             )
         )
     if report["newest"] is None:
-        console.print("No truth streams: nothing to compare with. Name some with --truth.")
+        console.print("No truth inside the window to compare with; name streams with --truth.")
         return
     headings = ("newest (mm)", "(deg)", "in 95 %", "lagged (mm)", "(deg)", "in 95 %")
     table = site_table("RMSE against truth: the newest states, and those that leave", headings)

@@ -59,6 +59,12 @@ def add_to(commands: Commands) -> None:
     add("--json", action="store_true", help="print one JSON object and nothing else")
 
 
+def _written(folder: Path, name: str) -> Path:
+    """The report in a folder of results, of that name unless the first one was renamed."""
+    reports = [folder / name, folder / "report.json", *sorted(folder.glob("*.json"))]
+    return next((file for file in reports if file.is_file()), reports[0])
+
+
 def _rerun(options: argparse.Namespace) -> int:
     if options.report.is_dir():
         options.report /= "report.json"
@@ -69,7 +75,7 @@ def _rerun(options: argparse.Namespace) -> int:
             request.store_tube = Path(place) / "tube.toml"
         with redirect_stdout(io.StringIO()):
             request.run(request)
-        again = _report(request.out / options.report.name)
+        again = _report(_written(request.out, options.report.name))
         comparison = _compared(report, again) | _files(options.report.parent, request.out)
     differ = [e for e in comparison["report"] if not e["size"] <= SAME]
     apart = comparison["posterior"]

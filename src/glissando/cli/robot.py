@@ -31,6 +31,7 @@ examples:
 
 exit status: 0 done; 2 something given was wrong.
 """
+_RADIANS, _NEAR = 20.0, 0.01  # degrees below which quarters of a turn are radians, and how near
 _ASKED = {
     "length": "Length of the robot in metres",
     "segments": "Number of segments that are driven each on its own",
@@ -70,6 +71,12 @@ def _robot(options: argparse.Namespace) -> int:
         raise GlissandoError(f"A robot file needs {flags} as well.")
     for key in missing:
         answers[key] = _answer(key)
+    turns = answers["bend"] / math.pi
+    if answers["bend"] < _RADIANS and abs(turns - round(2.0 * turns) / 2.0) < _NEAR:
+        raise GlissandoError(
+            f"--bend {answers['bend']:g} is most likely in radians; give degrees: "
+            f"{math.degrees(answers['bend']):.0f}."
+        )
     outline = RobotOutline(
         name=out.stem,
         length=answers["length"],

@@ -18,6 +18,7 @@ from glissando.errors import (
     EstimateWarning,
     GlissandoError,
     NotConvergedWarning,
+    OtherTimesWarning,
     RobotFileError,
 )
 from glissando.estimation.channels import placed
@@ -151,6 +152,9 @@ def estimate_watched(
             start=_start(options, recording, robot),
             max_iterations=most,
         )
+    for each in caught:
+        if issubclass(each.category, OtherTimesWarning):
+            warnings.warn(each.message, stacklevel=2)
     warn(run.findings)
     if run.posterior.solve.doubt:
         print(f"glissando: warning: {run.posterior.solve.doubt}", file=sys.stderr)

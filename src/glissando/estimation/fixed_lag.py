@@ -116,6 +116,7 @@ class FixedLagSmoother:
         """
         require_stream(readings)
         readings = corrected(readings, self._known)
+        self._doubt.hear(readings)
         if self._undelayed is not None and readings.name not in self._late:
             self._undelayed.take(readings)
             self._shown |= readings.fixes_base and len(readings) > 0

@@ -10,9 +10,11 @@ from glissando.errors import FalseConfidenceWarning
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
+from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 
 _RESTARTS = 10  # of a window, after which it is asked whether most times were such
+_UNIT = 20.0  # lengths of the robot: farther along it is another unit
 _REACH, _AT_BASE = 1.4, 0.1  # of arclength and of length: farther from the base no robot stretches
 
 
@@ -29,6 +31,17 @@ class LoopDoubt:
         self._base, self._arclength = rest if prior.fixes_base else None, arclength
         self._reach = (_REACH * arclength + _AT_BASE * arclength[-1]) ** 2  # m²
         self._advances, self._forgets, self._astray, self.beyond = 0, False, False, False
+        self._elsewhere: set[str] = set()  # streams
+
+    def hear(self, readings: Readings) -> None:
+        """Look at where readings are said to be, before those off the robot are left out."""
+        length, place = float(self._arclength[-1]), readings.arclength[:1]
+        if np.any(place > _UNIT * length) and readings.label not in self._elsewhere:
+            self._elsewhere.add(readings.label)
+            _warn(
+                f"{readings.label} reads at {place[0]:g} m of a robot of {length:g} m and is left "
+                f"out; give metres, not millimetres."
+            )
 
     def look(self, newest: State, restarts: int) -> None:
         """Look at the newest nodes (N,) and at how often a window began anew until now."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from glissando.errors import ImplausibleError, RecordingError
+from glissando.errors import ImplausibleError, OtherTimesWarning, RecordingError
 from glissando.estimation.batch import estimate
 from glissando.estimation.channels import placed
 from glissando.estimation.posterior import Posterior
@@ -21,6 +22,7 @@ from glissando.evaluation.plausibility.examine import (
     without_false_readings,
 )
 from glissando.evaluation.plausibility.finding import Finding, refuse
+from glissando.io.csv_stream import Stream
 from glissando.io.netcdf import save_posterior
 from glissando.io.provenance import versions, write_report
 from glissando.io.recording import Recording
@@ -176,7 +178,23 @@ def chosen_streams(
     use, truth = recording.choose(use, truth)
     readings, dropped = recording.readings(use, robot, window)
     references, _ = recording.readings(truth, robot, window, as_truth=True)
+    for name, reference in zip(truth, references, strict=True):
+        if not len(reference):
+            _warn_of_other_times(recording.stream(name), window)
     return readings, [corrected(t, robot.sensor_parameters) for t in references if len(t)], dropped
+
+
+def _warn_of_other_times(truth: Stream, window: tuple[float, float]) -> None:
+    """Warn that a truth stream has no reading inside a window, and so judges nothing."""
+    times = truth.rows.time
+    if times.size:
+        span = seconds(float(times.min()), float(times.max()))
+        warnings.warn(
+            f"{truth.name} judges nothing: its truth is of {span} s, none inside "
+            f"{seconds(*window)} s. If clocks differ, bring all streams to one.",
+            OtherTimesWarning,
+            stacklevel=3,
+        )
 
 
 def require_rows(recording: Recording, names: Sequence[str], window: tuple[float, float]) -> None:

@@ -130,6 +130,15 @@ def read_mechanics(robot: Table) -> Mechanics | None:
     return Mechanics(gravity=gravity, **fields)
 
 
+def strange_gravity(gravity: Array) -> str:
+    """What is wrong with an acceleration (3,) or accelerations (S, 3); empty if nothing is."""
+    size = np.linalg.norm(np.atleast_2d(gravity), axis=1)
+    wrong = size[(size > 0.0) & ((size < 1.5) | (size > 30.0))]
+    if not wrong.size:
+        return ""
+    return f"has length {wrong[0]:g}; give the acceleration in m/s², as [0, 0, -9.81]."
+
+
 def implausible(mechanics: Mechanics, length: float) -> tuple[str, str] | None:
     """What of a rod's mechanics is most likely in another unit: the field, and what to do.
 
@@ -137,11 +146,8 @@ def implausible(mechanics: Mechanics, length: float) -> tuple[str, str] | None:
         mechanics: The mechanics.
         length: Length of the rod, m.
     """
-    size = np.linalg.norm(np.atleast_2d(mechanics.gravity), axis=1)
-    size = size[size > 0.0]
-    if np.any((size < 1.5) | (size > 30.0)):
-        wrong = size[(size < 1.5) | (size > 30.0)][0]
-        return "gravity", f"has length {wrong:g}; give the acceleration in m/s², as [0, 0, -9.81]."
+    if strange := strange_gravity(mechanics.gravity):
+        return "gravity", strange
     if mechanics.tip_mass > 5.0:
         return "tip mass", f"is {mechanics.tip_mass:g} kg; give kilograms, not grams."
     if np.linalg.norm(mechanics.tip_center) > 0.5:

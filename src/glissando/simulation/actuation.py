@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from glissando.geometry.se3 import Array
+from glissando.model.mechanics import strange_gravity
 from glissando.model.table import Table
 from glissando.simulation.rod import Loads, Wrench
 
@@ -65,6 +66,8 @@ def read_actuation(table: Table, tendons: int, gravity: Array) -> Actuation:
     if np.any(tensions < 0.0):
         raise table.fail("tensions", f"is {tensions.tolist()}; a tendon only pulls, give N ≥ 0.")
     gravity = table.vector("gravity", 3, gravity)
+    if strange := strange_gravity(gravity):
+        raise table.fail("gravity", strange)
     wrenches = []
     for entry in table.tables("loads"):
         force, moment = (entry.vector(key, 3, np.zeros(3)) for key in ("force", "moment"))

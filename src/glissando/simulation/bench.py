@@ -13,6 +13,7 @@ import numpy as np
 from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
 from glissando.io.toml_table import read_toml
+from glissando.model.mechanics import strange_gravity
 from glissando.model.slide_path import SlideLimits
 from glissando.model.table import Table
 from glissando.simulation.actuation import Actuation, read_actuation
@@ -145,6 +146,8 @@ def load_bench(path: Path) -> Bench:
 
 def _bench(table: Table, length: float, rest_strain: Array, base: Array) -> Bench:
     gravity = table.vector("gravity", 3, np.zeros(3))
+    if strange := strange_gravity(gravity):
+        raise table.fail("gravity", strange)
     rod = _rod(table, length, rest_strain, base)
     radius = table.number("disk_radius")
     tendons = tuple(_tendon(entry, rod, radius) for entry in table.tables("tendons"))

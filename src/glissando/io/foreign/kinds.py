@@ -19,8 +19,9 @@ from glissando.io.foreign.vicon_csv import TITLES, read_vicon_csv
 
 _KNOWN = (
     "CSV of Vicon Tracker or Nexus, NDI Track or ToolBox, OptiTrack Motive; TSV of Qualisys; "
-    "CSV of servos with a tip; c3d, ROS 1 .bag, folder of a ROS 2 bag"
+    "CSV of servos with a tip; .tum, c3d, ROS 1 .bag, folder of a ROS 2 bag"
 )
+_TUM = "time=1,x=2,y=3,z=4,qx=5,qy=6,qz=7,qw=8"
 
 
 def is_bag(path: Path) -> bool:
@@ -66,6 +67,8 @@ def read_tracks(
     if path.suffix.lower() == ".c3d" or begins == b"\x02\x50":
         return read_c3d(path, rate)
     cells = next((cells for _, cells in cells_of(path) if cells), [""])
+    if path.suffix.lower() == ".tum":
+        return read_columns(path, parse_mapping(_TUM, path.stem), rate)
     if cells[0] in TITLES:
         return read_vicon_csv(path, rate)
     if is_ndi_header(cells):

@@ -22,6 +22,7 @@ from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.model.robot import Robot
 
 _FEW = 0.1  # part of the rows, below which they hardly are on a path
+_LONGEST = 50.0  # m of a robot
 _KINDS = ("pose", "coil"), ("position",)
 
 
@@ -144,6 +145,10 @@ def _placed(track: Track, choices: Choices, start: float, robot: Robot | None) -
         shift = choices.shift.get(track.name, 0.0)
         return _tendon_rows(track, track.time - start * track.absolute + shift, robot)
     place = choices.arclength.get(track.name)
+    if isinstance(place, float | int) and abs(place) > _LONGEST:
+        raise RecordingError(
+            f"--arclength {track.name}={place:g} m is on no robot; give metres, not millimetres."
+        )
     if place is None:
         return None
     time = track.time - (start if track.absolute else 0.0) + choices.shift.get(track.name, 0.0)

@@ -63,20 +63,21 @@ def export(
     """
     out = Path(out)
     writers = {".tum": _write_tum, ".txt": _write_tum, ".csv": _write_csv, ".mcap": _write_mcap}
-    if out.suffix not in writers:
+    suffix = out.suffix.lower()
+    if suffix not in writers:
         raise GlissandoError(
             f"{out.name} says no format; give --out a name in {', '.join(writers)}."
         )
     nodes = posterior.grid.arclength
     if arclength is None:
-        arclength = nodes[-1:] if writers[out.suffix] is _write_tum else nodes
+        arclength = nodes[-1:] if writers[suffix] is _write_tum else nodes
     arclength = np.asarray(arclength, dtype=float)
     time = _times(posterior.grid.time, rate)
     posterior.grid.require(arclength, np.full_like(arclength, time[0]), "Export")
     if out.is_dir():
         raise GlissandoError(f"{out} is a folder; give --out the name of a file.")
     with new_file(out) as building:
-        writers[out.suffix](posterior, building, time, arclength)
+        writers[suffix](posterior, building, time, arclength)
     return time.size
 
 
@@ -97,10 +98,11 @@ def export_stream(stream: Stream, out: str | Path) -> int:
         GlissandoError: The suffix is none that can be written, or the stream has no positions.
     """
     out, rows = Path(out), stream.rows
-    if out.suffix == ".csv":
+    suffix = out.suffix.lower()
+    if suffix == ".csv":
         write_named(out, rows)
         return rows.time.size
-    if out.suffix not in (".tum", ".txt"):
+    if suffix not in (".tum", ".txt"):
         raise GlissandoError(f"{out.name}: a stream is written as .tum, .txt or .csv.")
     if rows.values.shape[1:] == (4, 4):
         poses = rows.values @ inverse(stream.mount)
