@@ -41,6 +41,7 @@ def held(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recordings") / "held"
     folder.mkdir()
     (folder / "recording.toml").write_text(_TOML)
+    (folder / "robot.toml").write_text("# of the recording\n")
     for name in ("coil", "mocap_700"):
         rows = [f"{k / 20},0.7,0,0,0.7,1,0,0,0\n" for k in range(21)]
         (folder / f"{name}.csv").write_text("time,arclength,x,y,z,qw,qx,qy,qz\n" + "".join(rows))
@@ -58,12 +59,55 @@ def held(tmp_path_factory):
         "report {rec}/coil.csv --out {rec}/../held/coil.csv",
         "check {rec} --store-tube {rec}/coil.csv",
         "calibrate {rec} --out {rec}/coil.csv",
+        "calibrate {rec} --out {rec}/robot.toml",
+        "report {rec} --out {rec}/robot.toml",
+        "view {rec} --html {rec}/robot.toml",
     ],
 )
 def test_what_was_recorded_is_not_replaced(held, capsys, words):
     with kept(held):
         assert run(*words.format(rec=held).split()) == 2
     assert "would replace data; give another name or folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "calibrate {rec} --out {mine}.toml",
+        "learn {rec} --robot sliding700 --out {mine}.toml",
+        "report {rec} --out {mine}.toml",
+        "view {rec} --html {mine}.toml",
+        "export {rec} --stream coil --out {mine}.txt",
+        "export {rec} --stream coil --out {mine}.csv",
+    ],
+)
+def test_a_file_that_no_such_command_wrote_is_not_replaced(held, tmp_path, capsys, words):
+    for suffix in (".toml", ".txt", ".csv"):
+        (tmp_path / f"mine{suffix}").write_text("my own notes\n")
+    with kept(tmp_path):
+        assert run(*words.format(rec=held, mine=tmp_path / "mine").split()) == 2
+    assert "is there and none that this command writes" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", ["tum", "csv", "CSV"])
+def test_what_the_same_command_wrote_is_replaced(held, tmp_path, suffix):
+    out = tmp_path / f"coil.{suffix}"
+    for _ in range(2):
+        assert run("export", held, "--stream", "coil", "--out", out) == 0
+    assert out.read_text()
+
+
+def test_answers_to_a_query_replace_no_data_and_make_no_stream_of_a_recording(
+    held, tmp_path, capsys, monkeypatch
+):
+    points = tmp_path / "points.csv"
+    points.write_text("time,arclength\n0.5,0.7\n")
+    (tmp_path / "query.csv").write_text("my own data\n")
+    for folder, why in ((tmp_path, "none that this command writes"), (held, "is a recording")):
+        monkeypatch.chdir(folder)
+        with kept(folder):
+            assert run("estimate", held, "--query", points) == 2
+        assert why in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -123,13 +167,6 @@ def test_a_tube_replaces_no_other_robots_file(held, tmp_path, capsys):
     assert run("check", held, "--store-tube", other, "--block", "0.1") == 2
     assert "neither the --robot file nor one with a [tube]" in capsys.readouterr().err
     assert other.read_text() == 'name = "other"\n'
-
-
-def test_a_file_of_ones_own_is_replaced(held, tmp_path):
-    out = tmp_path / "coil.tum"
-    out.write_text("old")
-    assert run("export", held, "--stream", "mocap_700", "--out", out) == 0
-    assert out.read_text() != "old"
 
 
 class Closed(io.StringIO):

@@ -78,7 +78,8 @@ def add_to(commands: Commands) -> None:
 def _calibrate(options: argparse.Namespace) -> int:
     if options.out:
         require_writable(options.out.parent)
-        require_spared("--out", options.out, options.session, options.robot)
+        begins = ('format = "glissando calibration',)
+        require_spared("--out", options.out, options.session, options.robot, begins=begins)
     if options.recording:
         require_new(options.recording, RecordingError)
     given: Path = options.session

@@ -17,6 +17,11 @@ from glissando.io.foreign.trajectories import export_stream
 from glissando.io.netcdf import load_posterior
 from glissando.io.recording_folder import load_recording
 
+_NUMBERS = tuple("-0123456789")
+_BEGINS = {
+    ".csv": ("time,arclength",), ".tum": _NUMBERS, ".txt": _NUMBERS, ".mcap": ("\ufffdMCAP",),
+}  # fmt: skip
+
 _HELP = """\
 Write poses of a posterior, which estimate made, or a stream of a recording, such as the truth, to a
 file that other programs read.
@@ -50,7 +55,8 @@ def add_to(commands: Commands) -> None:
 
 def _export(options: argparse.Namespace) -> int:
     require_writable(options.out.parent)
-    require_spared("--out", options.out, options.posterior)
+    begins = _BEGINS.get(options.out.suffix.lower(), ())
+    require_spared("--out", options.out, options.posterior, begins=begins)
     given = [number("--arclength", place) for place in options.arclength or ()]
     places = np.array(given) if given else None
     source = of_results(options.posterior)

@@ -20,19 +20,25 @@ from glissando.io.shipped_robots import robot_file
 from glissando.model.robot import Robot
 
 _TOML = "recording.toml"
-_DATA = ".csv", ".mcap", ".nc", ".json"
+_DATA = ".csv", ".mcap", ".nc", ".json", ".toml"
+PAGE = ("<!doctype html", "<!DOCTYPE html")
+LEARNED = "# Learned from recordings by "
 
 
-def require_spared(option: str, out: Path, *inputs: str | Path | None) -> None:
-    """Make sure, before any work is done, that a file to write replaces no data.
+def require_spared(
+    option: str, out: Path, *inputs: str | Path | None, begins: Sequence[str] = ()
+) -> None:
+    """Make sure, before any work is done, that a file to write replaces nobody's data.
 
     Args:
         option: The option that names the file, such as --out.
         out: File to write.
         inputs: Files and folders that the command reads; None where one is not given.
+        begins: How files begin that the command writes; no other file is replaced, if given.
 
     Raises:
-        GlissandoError: The file is one of the inputs, or data in one of them or in a recording.
+        GlissandoError: The file is one of the inputs, data in one of them or in a recording, or
+            none that this command writes.
     """
     if not out.exists():
         return
@@ -40,8 +46,16 @@ def require_spared(option: str, out: Path, *inputs: str | Path | None) -> None:
     held = any(
         folder in given or _is_recording(folder) for folder in (real.parent, out.parent.resolve())
     )
-    if real in given or (held and (real.name == _TOML or real.suffix in _DATA)):
+    if real in given or (held and real.suffix in _DATA):
         raise GlissandoError(f"{option} {out} would replace data; give another name or folder.")
+    if begins and real.is_file():
+        with real.open(encoding="utf-8", errors="replace") as file:
+            begun = file.read(max(map(len, begins)))
+        if begun and not begun.startswith(tuple(begins)):
+            raise GlissandoError(
+                f"{option} {out} is there and none that this command writes; give another name, "
+                f"or delete it first."
+            )
 
 
 def _is_recording(folder: Path) -> bool:
@@ -155,8 +169,6 @@ def write_robot(document: dict[str, Any], start: str, out: Path) -> None:
         start: Robot that it began with.
         out: File to write.
     """
-    header = (
-        f"# Learned from recordings by {made_by()}, beginning with {start}, without its comments.\n"
-    )
+    header = f"{LEARNED}{made_by()}, beginning with {start}, without its comments.\n"
     document = {"format": stated_format("robot"), **document}
     write_text(out, header + tomli_w.dumps(document))

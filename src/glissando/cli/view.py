@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from glissando.cli.outputs import require_spared, require_writable
+from glissando.cli.outputs import PAGE, require_spared, require_writable
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_choices, add_command, posterior_shown
 from glissando.cli.silent import refuse_silent
@@ -52,7 +52,8 @@ def _view(options: argparse.Namespace) -> int:
     else:
         refuse_silent(options, "a view without --live", "port")
         require_writable(options.html.parent)
-        require_spared("--html", options.html, options.target, options.recording, options.robot)
+        inputs = options.target, options.recording, options.robot
+        require_spared("--html", options.html, *inputs, begins=PAGE)
     shown = posterior_shown(options)
     posterior = shown.posterior
     window = tuple(options.window) if options.window else None
