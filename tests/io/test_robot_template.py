@@ -116,16 +116,7 @@ def test_the_command_writes_once_and_says_what_it_lacks(tmp_path, capsys, monkey
 
 @pytest.mark.parametrize(("bend", "status"), [("6.28", 2), ("12.566", 2), ("6", 0), ("7", 0)])
 def test_a_bend_in_radians_is_refused(tmp_path, capsys, bend, status):
-    outline = [
-        "--length",
-        "0.4",
-        "--segments",
-        "2",
-        "--diameter",
-        "0.012",
-        "--sensors",
-        "coil:coil",
-    ]
-    words = ["robot", "new", *outline, "--bend", bend, "--out", str(tmp_path / "r.toml")]
+    outline = f"--length 0.4 --segments 2 --diameter 0.012 --sensors coil:coil --bend {bend}"
+    words = ["robot", "new", *outline.split(), "--out", str(tmp_path / "r.toml")]
     assert main(words) == status
     assert ("is most likely in radians" in capsys.readouterr().err) == bool(status)
