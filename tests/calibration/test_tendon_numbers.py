@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from glissando.calibration.robot.learn_tendons import TendonData
 from glissando.calibration.robot.tendon_numbers import TendonModel
 from tendon_robot import tendon_robot
 
@@ -29,3 +30,15 @@ def test_slopes_by_every_number_are_differences(friction):
     for name, where in model.where.items():
         found, expected = slope[..., where], differences[..., where]
         assert np.abs(found - expected).max() <= 1e-4 * np.abs(expected).max(), name
+
+
+def test_commands_that_pull_alike_are_left_out_together():
+    """Nine patterns, each held, slackened and pulled again, farther; at rest a row goes on."""
+    patterns = np.repeat(np.concatenate([np.eye(6), -np.eye(6)[:3]]), 8, axis=0)
+    size = np.tile([0.0, 2.0, 9.0, 9.0, 1.0, 0.0, 5.0, 0.1], 9)[:, None]
+    pulled = 1e-3 * size * patterns + 1e-5
+    block = TendonData.of(pulled, np.zeros((72, 3))).block.reshape(9, 8)
+    assert np.all(block[:, 1:] == block[:, 1:2])
+    np.testing.assert_array_equal(block[:, 1], np.arange(9) % 6)
+    circling = TendonData.of(np.abs(pulled) + 1e-3, np.zeros((72, 3))).block
+    assert set(circling) == set(range(6))

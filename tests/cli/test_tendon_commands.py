@@ -55,7 +55,8 @@ def start(tmp_path):
 @pytest.mark.slow
 def test_a_robot_is_learned_from_imported_servos_and_foretells_other_moves(tmp_path, start, capsys):
     rng, out = np.random.default_rng(0), tmp_path / "learned.toml"
-    servo_file(tmp_path / "servo.csv", moves(rng, 300), rng)
+    pulled = moves(rng, 300)
+    servo_file(tmp_path / "servo.csv", pulled, rng)
     record = ["import", str(tmp_path / "servo.csv"), "--robot", start, "--arclength", "tip=0.2"]
     assert main([*record, "--truth", "tip", "--out", str(tmp_path / "rec")]) == 0
     assert f"Now: glissando learn {tmp_path / 'rec'}" in capsys.readouterr().out
@@ -88,6 +89,14 @@ def test_a_robot_is_learned_from_imported_servos_and_foretells_other_moves(tmp_p
     learned = load_robot(out).tendons
     assert np.abs(learned.slack - truth.tendons.slack).max() < 2e-4
     assert learned.play == pytest.approx(truth.tendons.play, rel=0.4)
+    assert learned.learned_to == pytest.approx(np.abs(pulled).max(), rel=1e-3)
+    farther = np.column_stack([np.arange(len(other)), 3.0 * other])
+    names = ",".join(["time", *learned.names])
+    np.savetxt(tmp_path / "far.csv", farther, "%.6f", ",", header=names, comments="")
+    capsys.readouterr()
+    far = ["--tendons", str(tmp_path / "far.csv"), "--out", str(tmp_path / "far")]
+    assert main(["predict", "--robot", str(out), *far]) == 0
+    assert "what is foretold beyond is less sure than it says" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ from glissando.io.plain_file import file_stem
 from glissando.io.query_csv import write_states
 from glissando.io.robot_file import load_robot
 from glissando.io.tendon_commands import read_tendon_commands
+from glissando.model.tendons.tendons import Tendons
 
 _HELP = """\
 Foretell pose, strain and velocity along a robot, with covariance, from the commands of its tendons.
@@ -46,6 +47,7 @@ exit status: 0 done; 1 the tendons leave no static shape; 2 something given was 
 """
 
 _SLOW = 10.0  # s between commands, beyond which they may well be milliseconds
+_BEYOND = 1.2  # times as far as tendons were pulled where their numbers were learned
 _PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 _MARKER_COLUMNS = ("time", "x", "y", "z", *(f"cov_{pair}" for pair in _PAIRS))
 
@@ -62,8 +64,9 @@ def add_to(commands: Commands) -> None:
     add("--out", required=True, type=Path, metavar="DIR", help="folder to write query.csv into")
 
 
-def _doubts(time: Array, displacement: Array, std: float) -> Iterator[str]:
-    """Sentences on commands that are probably in another unit."""
+def _doubts(time: Array, displacement: Array, tendons: Tendons) -> Iterator[str]:
+    """Sentences on commands that are probably in another unit, or unlike what was learned."""
+    std = tendons.std
     step = float(np.median(np.abs(np.diff(time)))) if time.size > 1 else 0.0
     if step > _SLOW:
         yield (
@@ -71,6 +74,12 @@ def _doubts(time: Array, displacement: Array, std: float) -> Iterator[str]:
             f"1000, as velocities are wrong else."
         )
     most = float(np.abs(displacement).max())
+    if most > _BEYOND * tendons.learned_to:
+        yield (
+            f"Displacements reach {1e3 * most:.3g} mm, and {1e3 * tendons.learned_to:.3g} mm where "
+            f"this robot was learned: what is foretold beyond is less sure than it says. If they "
+            f"are in another unit, give metres, or millimetres where a column's name ends in _mm."
+        )
     if 0.0 < most < std:
         yield (
             f"No displacement exceeds {1e3 * most:.2g} mm, less than what they are off by "
@@ -90,7 +99,7 @@ def _predict(options: argparse.Namespace) -> int:
     given = [number("--arclength", place) for place in options.arclength or ()]
     places = np.unique(given) if given else robot.arclength_nodes
     time, displacement = read_tendon_commands(options.tendons, robot.tendons.names)
-    for doubt in _doubts(time, displacement, robot.tendons.std):
+    for doubt in _doubts(time, displacement, robot.tendons):
         print(f"glissando: warning: {doubt}", file=sys.stderr)
     marker = options.stream and file_stem(options.stream)
     placed = [p.streams for p in robot.sensor_parameters if p.kind in ("frame", "mount")]

@@ -23,7 +23,8 @@ from glissando.model.tendons.statics import Equilibrium
 
 _TAILS = 4.0  # degrees of freedom of Student's t: tendons slip and are set anew
 _SCALE = 0.02  # of the robot's length: standard deviation of errors while numbers are learned
-_BLOCKS, _RUNS = 6, 36  # of a recording without patterns: runs dealt out to blocks
+_BLOCKS, _RUNS = 6, 36  # of a recording, and runs of few patterns that are dealt out to them
+_AT_REST, _IDLE = 0.2, 0.3  # of the largest displacement: below it a row, or a tendon, hardly moves
 _MOST = 700  # rows that numbers are learned from
 _STEPS = 25
 _ENOUGH = 0.5  # fall of the cost at which to stop
@@ -50,7 +51,7 @@ class TendonData:
 
     @staticmethod
     def of(displacement: Array, tip: Array, block: NDArray[np.intp] | None = None) -> TendonData:
-        """Checked data; without `block` runs of equal length are dealt out to six.
+        """Checked data; without `block` what pulls alike is left out together, in six blocks.
 
         Raises:
             RecordingError: Rows differ in number, or are too few to learn from.
@@ -60,8 +61,7 @@ class TendonData:
                 f"{len(displacement)} rows of tendons and {len(tip)} of the tip; give as many of "
                 f"both, {10 * _BLOCKS} at least."
             )
-        even = np.arange(len(tip)) * _RUNS // len(tip) % _BLOCKS
-        return TendonData(displacement, tip, even if block is None else block)
+        return TendonData(displacement, tip, _blocks(displacement) if block is None else block)
 
 
 @dataclass(frozen=True)
@@ -106,8 +106,28 @@ def learn_tendons(robot: Robot, data: TendonData, watch: Watch | None = None) ->
         without_block = _fit(model, numbers, data, ~left, f"without block {block}", say)
         held_out[left] = _errors(model, without_block, data)[left]
     learned = model.robot_of(numbers, _model_error(model, numbers, data, held_out))
+    assert learned.tendons is not None
+    most = float(np.abs(data.displacement).max())
+    learned = replace(learned, tendons=replace(learned.tendons, learned_to=most))
     rmse, held_out_rmse = (float(np.sqrt(np.mean(np.sum(e**2, axis=1)))) for e in (error, held_out))
     return LearnedTendons(learned, rmse, held_out_rmse, held_out)
+
+
+def _blocks(displacement: Array) -> NDArray[np.intp]:
+    """Six blocks of commands (M, T) which pull the same tendons the same way.
+
+    Rows near rest go with those before them. Of few patterns, blocks are stretches of time.
+    """
+    size = np.abs(displacement).max(axis=1)
+    moved = size > _AT_REST * np.quantile(size, 0.95)
+    pulled = np.abs(displacement) > _IDLE * size[:, None]
+    ways = (np.sign(displacement) * pulled).astype(int)
+    last = np.maximum.accumulate(np.where(moved, np.arange(len(size)), int(np.argmax(moved))))
+    number: dict[tuple[int, ...], int] = {}
+    pattern = np.array([number.setdefault(tuple(ways[k]), len(number)) for k in last.tolist()])
+    if len(number) < _BLOCKS:
+        return np.arange(len(size)) * _RUNS // len(size) % _BLOCKS
+    return pattern % _BLOCKS
 
 
 def _errors(model: TendonModel, numbers: Numbers, data: TendonData) -> Array:

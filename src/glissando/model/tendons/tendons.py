@@ -50,6 +50,7 @@ class Tendons:
         softness: Displacement over which a tendon becomes taut, m.
         std: Standard deviation of what displacements differ from the commands by, m.
         psd_moment: Density of bending moments that are not modelled, white along arclength, N² m³.
+        learned_to: Largest displacement, either way, that these numbers were learned from, m.
         names: Columns of the tendons in files.
     """
 
@@ -64,6 +65,7 @@ class Tendons:
     softness: float = 1e-4
     std: float = 1e-4
     psd_moment: float = 1e-7
+    learned_to: float = np.inf
     names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -159,7 +161,8 @@ class Tendons:
                 table[name] = value.tolist()
             elif not self.straight:
                 table[name] = np.where(np.isinf(value), 0.0, value).tolist()
-        return {**table, **{name: float(getattr(self, name)) for name in _SHARED}}
+        table |= {name: float(getattr(self, name)) for name in _SHARED}
+        return table | ({"learned_to": self.learned_to} if np.isfinite(self.learned_to) else {})
 
 
 def read_tendons(robot: Table, length: float, mechanics: Mechanics | None = None) -> Tendons | None:
@@ -186,6 +189,8 @@ def read_tendons(robot: Table, length: float, mechanics: Mechanics | None = None
     pitch = given["pitch"]
     given["pitch"] = np.where(pitch == 0.0, np.inf, pitch)
     given |= {name: table.number(name, usual) for name, usual in _SHARED.items()}
+    if table.peek("learned_to") is not None:
+        given["learned_to"] = table.number("learned_to")
     table.close()
     _require_units(SimpleNamespace(**given), table.fail)
     tendons = Tendons(names=names, **given)
