@@ -45,6 +45,16 @@ def test_a_right_session_passes_with_and_without_truth(session):
     assert not found(robot, sensors)
 
 
+def test_a_stream_far_from_the_base_is_refused_whatever_else_is_wrong(session):
+    robot, sensors, truth, frames = session
+    shifted = np.eye(4)
+    shifted[0, 3] = 0.4
+    sensors = [s.changed(values=shifted @ s.values) if s.kind == "coil" else s for s in sensors]
+    truth = [truth[0].changed(values=scaled(truth[0].values, 1e3)), *truth[1:]]
+    refused = [f for f in found(robot, sensors, truth, frames).values() if f.refusal]
+    assert any(truth[0].label in f.streams for f in refused)
+
+
 def test_a_stream_that_reads_many_places_of_a_robot_at_rest_does_not_move():
     robot = load_robot("sliding700")
     time = np.repeat(0.05 * np.arange(20), 3)

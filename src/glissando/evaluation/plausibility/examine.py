@@ -13,7 +13,7 @@ from glissando.evaluation.plausibility.gravity import check_accelerometers
 from glissando.evaluation.plausibility.lag import check_lag
 from glissando.evaluation.plausibility.noise import check_noise
 from glissando.evaluation.plausibility.poses import check_poses
-from glissando.evaluation.plausibility.reach import check_reach, out_of_reach
+from glissando.evaluation.plausibility.reach import check_far, check_reach, out_of_reach
 from glissando.evaluation.plausibility.sampling import check_sampling
 from glissando.evaluation.plausibility.session import Streams
 from glissando.evaluation.plausibility.size import check_size
@@ -83,6 +83,8 @@ def _examined(streams: Streams, window: tuple[float, float] | None) -> list[Find
         findings += check_grid(streams, window)
     if not any(f.refusal and f.name in ("time-unit", "clock", "grid") for f in findings):
         findings += _on_motion(streams)
+    if not any(f.refusal for f in findings):
+        findings += check_far(streams)
     return _without_echoes(findings)
 
 

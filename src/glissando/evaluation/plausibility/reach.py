@@ -16,6 +16,7 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 
 _SLACK = 0.15  # of the robot's length, beyond what it reaches
+_FAR = 20.0  # lengths of the robot from its base: another unit, whatever else is wrong
 _FEW = 0.2  # share of a stream that can be false readings; more is a unit or a frame
 
 
@@ -40,6 +41,33 @@ def check_reach(streams: Streams) -> Iterator[Finding]:
                 f"from the base at arclength {r.arclength[row]:.3g} m{more}, out of the robot's "
                 f"reach: probably a false reading, which an estimate leaves out; delete it.",
                 False, (r.label,), "row",
+            )  # fmt: skip
+
+
+def check_far(streams: Streams) -> Iterator[Finding]:
+    """Findings on streams that lie many times the robot's length from where its base is known.
+
+    Args:
+        streams: A session.
+
+    Yields:
+        Refusals.
+    """
+    robot = streams.robot
+    if not robot.prior.fixes_base:
+        return
+    framed = {s for p in robot.sensor_parameters if p.kind == "frame" for s in p.streams}
+    for r in streams.tracked:
+        if r.name in framed or weights(r)[0] == 0.0:
+            continue
+        far = float(np.median(distance_from_base(robot, r)))
+        if far > _FAR * robot.length:
+            yield Finding(
+                "reach",
+                f"Positions of {r.label!r} lie {far:.3g} m from the base of a robot of "
+                f"{robot.length:.3g} m: most likely they are in millimetres, or in a tracker's "
+                f'frame; give metres, or length_unit = "mm", and state the frame.',
+                True, (r.label,), "unit",
             )  # fmt: skip
 
 
