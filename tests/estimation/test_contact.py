@@ -71,6 +71,19 @@ def test_a_force_is_found_at_its_place_with_its_size():
 
 
 @pytest.mark.slow
+def test_the_place_of_a_force_is_known_as_well_as_the_evidence_says():
+    rng, count, squares = np.random.default_rng(4), 40, []
+    for _ in range(count):
+        where, size, turn = rng.uniform([0.15, 0.05, 0.0], [0.45, 0.15, 2.0 * np.pi])
+        force = size * np.array([np.cos(turn), np.sin(turn), 0.0])
+        scan = scanned(coil(rng, shape(force, where)))
+        off = scan.arclength[scan.best] - where
+        squares.append((off / scan.std_place) ** 2)
+    low, high = chi2.ppf([1e-3, 1.0 - 1e-3], count) / count
+    assert low < np.mean(squares) < high
+
+
+@pytest.mark.slow
 def test_the_covariance_of_a_force_is_true_in_all_directions_though_coils_show_no_roll():
     grid, size, squares = Grid(NODES, [0.0]), 0.15, []
     for seed in range(8):

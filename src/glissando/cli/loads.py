@@ -82,13 +82,13 @@ def print_loads(
         console.print(f"Something else touches the robot at none {chance}.")
         return
     surest = touched[np.argmax((scan.evidence - scan.threshold)[touched])]
-    place = scan.arclength[scan.best[surest]]
+    place, apart = scan.arclength[scan.best[surest]], scan.std_place[surest]
     force, std = scan.force[surest], np.sqrt(np.diagonal(scan.cov[surest]))
     pairs = [f"{f:.2g} ± {s:.2g}" for f, s in zip(force, std, strict=True)]
     pushed = "" if np.isnan(force).any() else f", with ({', '.join(pairs)}) N in the body frame"
     console.print(
         f"Something else touches the robot at {touched.size} {chance}. Surest at "
-        f"{scan.time[surest]:.3f} s, likeliest there at {place:.3g} m{pushed}.",
+        f"{scan.time[surest]:.3f} s, likeliest there at {place:.3g} ± {apart:.1g} m{pushed}.",
         markup=False,
     )
     console.print(
@@ -96,11 +96,16 @@ def print_loads(
         "it there.",
         markup=False,
     )
-    if count > 1 and isinstance(prior := posterior.prior, MechanicalPrior):
+    if (
+        posterior.solve.doubt
+        and count > 1
+        and isinstance(prior := posterior.prior, MechanicalPrior)
+    ):
         console.print(
-            f"Loads are believed to last {prior.time_scale:.3g} s ([prior] time_scale): a "
-            f"touch that begins or ends faster makes moments before and after it seem touched, and "
-            f"is put at a wrong place with a wrong force. Give one as short as touches are.",
+            f"As readings contradict the estimate, neither place nor force is known so well. Loads "
+            f"are believed to last {prior.time_scale:.3g} s ([prior] time_scale): a touch that "
+            f"begins or ends faster makes moments before and after it seem touched, and is put at "
+            f"a wrong place with a wrong force. Give one as short as touches are.",
             markup=False,
         )
     if tendons:

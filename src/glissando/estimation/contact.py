@@ -83,6 +83,16 @@ class ContactScan:
         """Index (…) of the likeliest place."""
         return np.argmax(self.log_ratio, axis=-1)
 
+    @property
+    def std_place(self) -> Array:
+        """Standard deviation (…) of the place, m, where a force acts at one of them."""
+        share = np.exp(self.log_ratio - np.max(self.log_ratio, axis=-1, keepdims=True))
+        share /= np.sum(share, axis=-1, keepdims=True)
+        mean = np.sum(share * self.arclength, axis=-1, keepdims=True)
+        spacing = np.gradient(self.arclength) if self.arclength.size > 1 else np.zeros(1)
+        square = (self.arclength - mean) ** 2 + spacing**2 / 12.0
+        return np.asarray(np.sqrt(np.sum(share * square, axis=-1)))
+
     def without_force(self) -> ContactScan:
         """The scan where it is not known how large a force is."""
         return replace(self, force=np.full(3, np.nan), cov=np.full((3, 3), np.nan))
