@@ -186,6 +186,18 @@ def test_servos_need_a_robot_with_as_many_tendons(tmp_path, capsys):
     assert "has 6 tendons, the robot 0; name a robot" in capsys.readouterr().err
 
 
+def test_without_a_place_of_the_marker_nothing_is_learned_and_the_advice_is_to_give_it(
+    tmp_path, start, capsys
+):
+    rng = np.random.default_rng(1)
+    servo_file(tmp_path / "servo.csv", moves(rng, 20), rng)
+    given = ["import", str(tmp_path / "servo.csv"), "--robot", start]
+    assert main([*given, "--out", str(tmp_path / "rec")]) == 0
+    said = capsys.readouterr().out
+    assert "import again with --arclength tip=METRES" in said
+    assert "glissando learn" not in said
+
+
 def imported(tmp_path, start, columns, name):
     """Displacements of a recording made of servos in other columns."""
     rng = np.random.default_rng(5)

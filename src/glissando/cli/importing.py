@@ -19,6 +19,7 @@ from glissando.evaluation.foreign_estimate import (
 from glissando.io.atomic_folder import require_new
 from glissando.io.foreign import Choices, read_tracks, write_recording
 from glissando.io.foreign.kinds import is_bag
+from glissando.io.foreign.servo_csv import MARKER
 from glissando.io.foreign.tracks import Track
 from glissando.io.provenance import write_report
 from glissando.io.recording import Recording
@@ -152,6 +153,11 @@ def _next(folder: Path, recording: Recording, truth: bool) -> str:
     given = quote(str(folder))
     unknown, used = sorted(recording.unknown_frames), recording.choose(None, None)[0]
     if not unknown and {recording.streams[name].rows.kind for name in used} == {"tendon"}:
+        if MARKER not in recording.streams:
+            return (
+                f"To learn from its tendons, import again with --arclength {MARKER}=METRES, where "
+                f"on the robot the marker sits."
+            )
         robot = quote(str(folder / "robot.toml"))
         return f"Now: glissando learn {given} --robot {robot} --out learned.toml"
     if not unknown:

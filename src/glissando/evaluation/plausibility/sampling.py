@@ -44,7 +44,8 @@ def check_sampling(
             yield Finding(
                 "time-unit",
                 f"Stream {r.label!r} has {rate:,.0f} readings a second, more than such a sensor "
-                f"gives: its times are probably in minutes or hours; give seconds.",
+                f"gives: its times are probably in minutes or hours, or were divided by a thousand "
+                f"too often; give seconds.",
                 True, (r.label,), "seconds",
             )  # fmt: skip
         yield from _repeats(r)

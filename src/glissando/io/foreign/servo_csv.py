@@ -18,6 +18,7 @@ from glissando.geometry.se3 import Array
 from glissando.io.foreign.tracks import Track, as_numbers, text_lines
 
 _SERVO = re.compile(r"servo_\w+_mm")
+MARKER = "tip"
 _TIP = ("tip_x", "tip_y", "tip_z")
 
 
@@ -96,5 +97,5 @@ def servo_tracks(path: Path) -> list[Track]:
     pulled, missing = log.displacement, log.missing
     return [
         Track("tendons", "tendon", log.time, pulled, missing, absolute=True, columns=log.names),
-        Track("tip", "position", log.time, log.tip, missing, absolute=True),
+        Track(MARKER, "position", log.time, log.tip, missing, absolute=True),
     ]
