@@ -27,6 +27,7 @@ from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry import se3
 from glissando.io.netcdf import load_posterior, save_posterior
 from glissando.model.sensors.parameters import SensorParameter
+from glissando.planning.belief import belief_of
 from glissando.solver.gauss_newton import SolverOptions
 from glissando.solver.outcome import Outcome
 from online import PRIORS, fed
@@ -171,7 +172,7 @@ def newest_errors(window, trials):
     return np.array(found)
 
 
-def test_the_first_state_is_no_surer_than_that_moment_is_one_update_later():
+def test_the_first_state_is_no_surer_than_that_moment_is_one_update_later(tmp_path):
     robot, places = load_robot("tdcr466"), np.array([0.0, 0.233, 0.466])
     smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
     straight = np.eye(4)[None].copy()
@@ -181,6 +182,11 @@ def test_the_first_state_is_no_surer_than_that_moment_is_one_update_later():
     )
     smoother.advance(0.0)
     first = smoother.posterior().at(places, 0.0).std_position
+    save_posterior(smoother.posterior(), tmp_path / "first.nc")
+    between = np.array([0.05, 0.4])
+    again = load_posterior(tmp_path / "first.nc").at(between, 0.0).std_position
+    np.testing.assert_allclose(again, smoother.posterior().at(between, 0.0).std_position, rtol=1e-6)
+    assert np.linalg.eigvalsh(belief_of(smoother).information()).min() > -1e-6
     smoother.advance(1.0 / 30.0)
     later = smoother.posterior().at(places, 0.0).std_position
     assert np.all((first > 0.95 * later) & (first < 1.5 * later))  # it was 0.13 of it

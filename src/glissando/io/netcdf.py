@@ -182,6 +182,8 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
     )
     if posterior.grid.before is not None:
         attributes["time_before"] = posterior.grid.before
+    elif posterior.grid.time.size == 1:
+        attributes["time_span"] = float(posterior.grid.time_spans[0])
     attributes["versions"] = json.dumps(versions())
     attributes["solve"] = json.dumps(posterior.solve.to_table())
     image = _image({**coordinates, **variables}, attributes)  # HDF5 dies of a full disk
@@ -254,6 +256,7 @@ def _posterior(arrays: dict[str, Array], attributes: dict[str, Any], name: str) 
     before = attributes.get("time_before")
     before = None if before is None else float(before)
     grid = Grid(_numbers(arrays, "arclength"), _numbers(arrays, "time"), before)
+    grid = grid.at_times(grid.time, before, float(attributes.get("time_span", 1.0)))
     state = State(*(_numbers(arrays, field) for field in _FIELDS if field in arrays))
     blocks = (_numbers(arrays, key) for key in ("information", "information_below"))
     estimated = [_as_sensor_parameter(table) for table in json.loads(parameters)]

@@ -43,6 +43,7 @@ class Belief:
         shape: State (N,) of the node; None where only the prior is known.
         cov: Covariance (D, D) of the state and the parameters; None as `shape` is.
         previous_time: Time of the node before the newest, s, if there is one.
+        lone: What the newest node stands for where there is none before, s.
     """
 
     prior: Prior
@@ -53,6 +54,7 @@ class Belief:
     shape: State | None = None
     cov: Array | None = None
     previous_time: float | None = None
+    lone: float = 1.0
 
     def hold_shape(self, grid: Grid) -> State:
         """The expected state at all nodes of a grid if the robot holds its shape."""
@@ -71,7 +73,8 @@ class Belief:
         """
         if self.cov is None or self.shape is None:
             return None
-        grid = Grid(self.arclength, [self.time], self.previous_time)
+        now = np.array([self.time])
+        grid = Grid(self.arclength, now).at_times(now, self.previous_time, self.lone)
         state = State(*(field[None] for field in self.shape.fields()))
         parameters = EstimatedParameters(grid, self.sensor_parameters)
         prior = prior_information(self.prior, grid, state, parameters)
@@ -122,4 +125,5 @@ def belief_of(source: BeliefSource, start: float = 0.0) -> Belief:
     time = float(grid.time[-1])
     previous = float(grid.time[-2]) if grid.time.size > 1 else grid.before
     step = 0.0 if previous is None else time - previous
-    return Belief(source.prior, grid.arclength, time, step, parameters, shape, cov, previous)
+    lone, known = float(grid.time_spans[-1]), (parameters, shape, cov, previous)
+    return Belief(source.prior, grid.arclength, time, step, *known, lone)
