@@ -29,11 +29,11 @@ _HELP = """\
 Bring files of motion capture and trackers into a recording folder that every command takes.
 
 Known are CSV of Vicon Tracker (helical rotations) and of Nexus, of NDI Track and ToolBox, of
-OptiTrack Motive; TSV of Qualisys; c3d, ROS 1 bags and folders of ROS 2 bags; CSV of servos that
-pull tendons with the position of a marker (timestamp, servo_<id>_mm, tip_x, tip_y, tip_z), of which
---robot names a file with [tendons]. Any other delimited text is read with --columns. Semicolons,
-tabs and decimal commas are understood. A file does not say where on the robot its objects sit:
---arclength does, and objects without one are left out.
+OptiTrack Motive; TSV of Qualisys; .tum, c3d, ROS 1 bags and folders of ROS 2 bags; CSV of servos
+that pull tendons with the position of a marker (timestamp, servo_<id>_mm, tip_x, tip_y, tip_z), of
+which --robot names a file with [tendons]. Any other delimited text is read with --columns.
+Semicolons, tabs and decimal commas are understood. A file does not say where on the robot its
+objects sit: --arclength does, and objects without one are left out.
 """
 _EXAMPLES = """\
 examples:
