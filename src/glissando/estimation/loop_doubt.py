@@ -31,17 +31,19 @@ class LoopDoubt:
         self._base, self._arclength = rest if prior.fixes_base else None, arclength
         self._reach = (_REACH * arclength + _AT_BASE * arclength[-1]) ** 2  # m²
         self._advances, self._forgets, self._astray, self.beyond = 0, False, False, False
+        self._farthest = _UNIT * float(arclength[-1])
         self._elsewhere: set[str] = set()  # streams
 
     def hear(self, readings: Readings) -> None:
         """Look at where readings are said to be, before those off the robot are left out."""
-        length, place = float(self._arclength[-1]), readings.arclength[:1]
-        if np.any(place > _UNIT * length) and readings.label not in self._elsewhere:
-            self._elsewhere.add(readings.label)
-            _warn(
-                f"{readings.label} reads at {place[0]:g} m of a robot of {length:g} m and is left "
-                f"out; give metres, not millimetres."
-            )
+        place = readings.arclength
+        if not len(place) or place[0] <= self._farthest or readings.label in self._elsewhere:
+            return
+        self._elsewhere.add(readings.label)
+        _warn(
+            f"{readings.label} reads at {place[0]:g} m of a robot of {self._arclength[-1]:g} m and "
+            f"is left out; give metres, not millimetres."
+        )
 
     def look(self, newest: State, restarts: int) -> None:
         """Look at the newest nodes (N,) and at how often a window began anew until now."""
