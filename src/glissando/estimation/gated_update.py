@@ -57,9 +57,10 @@ class GatedUpdate:
         most = _LONG if self._spare > 0 else _BRIEF
         try:
             require_base(window.prior, readings)
+            grid = window.grid()
             posterior = estimate_in_passing(
                 window.prior,
-                window.grid(),
+                grid.at_times(grid.time, grid.before),  # a lone node for a second: nearer to rest
                 readings,
                 window.parameters.believed(),
                 SolverOptions(max_iterations=most),
