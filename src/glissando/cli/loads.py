@@ -74,6 +74,17 @@ def print_loads(
         mark = " !" if scan.detected[nearest] else ""
         table.add_row(f"{row['time']:.3f}{mark}", f"{row['arclength']:.4f}", *cells)
     console.print(table)
+    _print_touch(posterior, scan, console)
+    if tendons and scan.detected.any():
+        console.print(
+            "The prior knows no tendons, so that what they pull counts as a touch: give [prior] "
+            "points where they end, with var_points as large as their moments.",
+            markup=False,
+        )
+
+
+def _print_touch(posterior: Posterior, scan: ContactScan, console: Console) -> None:
+    """Print when, where and how hard something touches the robot, if anything does."""
     touched, count = np.flatnonzero(scan.detected), scan.time.size
     read = int(np.any(scan.log_ratio != 0.0, axis=-1).sum())  # others say nothing
     of = f"{count} times" if read == count else f"{read} times beside which something was read"
@@ -106,12 +117,6 @@ def print_loads(
             f"are believed to last {prior.time_scale:.3g} s ([prior] time_scale): a touch that "
             f"begins or ends faster makes moments before and after it seem touched, and is put at "
             f"a wrong place with a wrong force. Give one as short as touches are.",
-            markup=False,
-        )
-    if tendons:
-        console.print(
-            "The prior knows no tendons, so that what they pull counts as a touch: give [prior] "
-            "points where they end, with var_points as large as their moments.",
             markup=False,
         )
 
