@@ -168,11 +168,13 @@ def test_tendons_make_the_shape_sure_where_they_run():
     assert found.at(LENGTH, 0.5).std_position < 0.5 * unread.std_position
 
 
+@pytest.mark.parametrize("pitch", [0.0, 0.3, 0.12, 0.06])
 @pytest.mark.parametrize("count", [1, 2, 4, 8])
-def test_tendons_read_between_time_nodes_err_together(count):
+def test_tendons_read_between_time_nodes_err_together(count, pitch):
     """Many read at one moment tell no more of its nodes than a node there lets them."""
     angle = np.linspace(0.0, np.pi, count)
     channels = {"radius": np.full(count, 0.0045), "angle": angle, "end": np.full(count, 0.2)}
+    channels["pitch"] = np.full(count, pitch)
     pulled = readings([0.25], np.zeros((1, count)), **channels)
     coarse, fine = (
         estimate(tendon_robot().prior, Grid(NODES, time), [pulled])

@@ -18,7 +18,6 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, STRAIN, State
 from glissando.solver.located_readings import LocatedReadings
 
-_NOTHING = 1e-300
 _PIECES = 4  # of an interval between nodes, at least
 _JOINT = 1e-6  # m: what lies just before a joint is no interval
 
@@ -32,8 +31,7 @@ def spanning_factor(
     """Factors of readings that depend on the whole robot at their time, between its nodes, too.
 
     What the bridge in time leaves open counts as fully correlated along the robot, which it nearly
-    is: the careful side. What rows then have in common is that of the same errors everywhere. The
-    bridge along the robot moves poses to one side between two nodes, and not at them.
+    is. That along the robot, as it is at a time node, moves poses to one side between two nodes.
 
     Args:
         readings: Readings (M,).
@@ -54,15 +52,14 @@ def spanning_factor(
     s = _refined(nodes, readings.longest_step)
     every = np.tile(s, len(readings)), np.repeat(readings.time, s.size)
     at, parts = interpolated(prior, located.grid, state, noise_state, *every)
-    at, inner = at.reshape(len(readings), s.size), np.searchsorted(s, nodes)
+    before = np.searchsorted(located.grid.time, every[1], side="right") - 1
+    on_node = every[0], located.grid.time[np.maximum(before, 0)]
+    _, still = interpolated(prior, located.grid, state, noise_state, *on_node)
+    at, inner = at.reshape(len(readings), s.size), np.searchsorted(s, nodes)  # places of nodes
     residual, by_state = readings.residual_over(s, at), readings.jacobian_over(s, at)
     here, by_nodes = _through(parts, by_state, located.grid.arclength.size)
-    cov: Array = np.empty((len(readings) * s.size, DOF, DOF))
-    for rows, part in parts:
-        cov[rows] = part.cov
-    cov = cov.reshape(-1, s.size, DOF, DOF)
-    own = readings.jacobian_over(nodes, at.take((slice(None), inner)))
-    left = _in_time(own, cov[:, inner]) + _along(by_state[..., STRAIN], cov[..., :6, :6], s, inner)
+    left = _in_time(by_state, _between(_open(parts, s.size), s, inner))
+    left += _along(by_state[..., STRAIN], _open(still, s.size)[..., :6, :6], s, inner)
     terms = Residuals(residual, sqrt_information(readings.cov + left), readings.loss)
     return Factors(here, slice(0, state.dof), whole(by_nodes.swapaxes(1, 2)), terms)
 
@@ -101,13 +98,26 @@ def _through(parts: Parts, by_state: Array, n_count: int) -> tuple[Index, Array]
     return nodes, by_nodes
 
 
+def _open(parts: Parts, places: int) -> Array:
+    """What interpolation leaves open of states (M, P, 18, 18) at the places of each reading."""
+    cov: Array = np.empty((sum(rows.size for rows, _ in parts), DOF, DOF))
+    for rows, part in parts:
+        cov[rows] = part.cov
+    return cov.reshape(-1, places, DOF, DOF)
+
+
+def _between(cov: Array, s: Array, nodes: Index) -> Array:
+    """Covariances (M, P, 18, 18) at places `s` (P,) on lines between those at the nodes."""
+    begin = nodes[np.searchsorted(nodes[1:-1], np.arange(s.size), side="right")]
+    end = nodes[np.searchsorted(nodes, begin) + 1]
+    share = ((s - s[begin]) / (s[end] - s[begin]))[:, None, None]
+    return np.asarray(cov[:, begin] * (1.0 - share) + cov[:, end] * share)
+
+
 def _in_time(by_state: Array, cov: Array) -> Array:
-    """What the bridge in time leaves open (M, r, r), by slopes (M, r, N, 18) at the nodes."""
-    each = by_state.swapaxes(1, 2) @ _root(cov)
-    std, common = np.linalg.norm(each, axis=-1).sum(axis=1), each.sum(axis=1)
-    common *= (std / np.maximum(np.linalg.norm(common, axis=2), _NOTHING))[..., None]
+    """What the bridge in time leaves open (M, r, r), by slopes (M, r, P, 18) at the places."""
+    common = np.sum(by_state.swapaxes(1, 2) @ _root(cov), axis=1)
     left: Array = common @ common.swapaxes(1, 2)
-    np.einsum("mrr->mr", left)[...] = std**2
     return left
 
 
@@ -119,15 +129,11 @@ def _along(by_strain: Array, cov: Array, s: Array, nodes: Index) -> Array:
 
     Args:
         by_strain: Slopes (M, r, P, 6) by the strain at places.
-        cov: What is open of the poses there (M, P, 6, 6), at nodes by the bridge in time alone.
+        cov: What is open of the poses there (M, P, 6, 6) at a time node: nothing at nodes.
         s: The places (P,), m.
         nodes: Which of them are nodes.
     """
-    steps, interval = np.diff(s), np.searchsorted(nodes, np.arange(s.size - 1), side="right") - 1
-    begin, end = nodes[interval], nodes[interval + 1]
-    share = ((s[:-1] - s[begin]) / (s[end] - s[begin]))[:, None, None]
-    in_time = cov[:, begin] * (1.0 - share) + cov[:, end] * share
-    root = _root(np.concatenate([cov[:, :-1] - in_time, np.zeros_like(cov[:, -1:])], axis=1))
+    steps, root = np.diff(s), _root(cov)
     weight = by_strain / (0.5 * (np.append(steps, 0.0) + np.append(0.0, steps)))[:, None]
     weight = 0.5 * (weight[:, :, :-1] + weight[:, :, 1:])
     sums = np.add.reduceat(weight.swapaxes(1, 2) @ np.diff(root, axis=1), nodes[:-1], axis=1)
