@@ -17,7 +17,8 @@ from glissando.errors import GlissandoError
 from glissando.estimation.contact import scan_contacts
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, Stream
-from glissando.io.netcdf import load_posterior, save_posterior, to_xarray
+from glissando.io.labelled_posterior import to_xarray
+from glissando.io.netcdf import load_posterior, save_posterior
 from glissando.io.query_csv import LOAD_COLUMNS
 from glissando.io.recording_writer import write_streams
 from glissando.io.robot_file import load_robot, parse_robot

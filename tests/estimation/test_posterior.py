@@ -6,7 +6,8 @@ import pytest
 from glissando import GlissandoError, estimate
 from glissando.errors import OutsideGridError
 from glissando.estimation.fixed_lag import FixedLagSmoother
-from glissando.io.netcdf import COMPONENTS, load_posterior, save_posterior
+from glissando.io.labelled_posterior import COMPONENTS
+from glissando.io.netcdf import load_posterior, save_posterior
 from glissando.model.interpolation import sort_points
 from glissando.model.state import DOF
 from online import fed
@@ -119,3 +120,15 @@ def test_the_window_of_a_smoother_is_read_as_it_was_saved(tmp_path):
     assert again.grid.before == window.grid.before is not None
     where = np.linspace(0.0, LENGTH, 9), window.grid.time[0] + np.linspace(0.0, 0.1, 9)
     np.testing.assert_allclose(again.at(*where).cov, window.at(*where).cov, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("span", [0.0, -1.0, np.nan])
+def test_a_node_that_stands_for_no_time_is_a_damaged_file(tmp_path, span):
+    h5netcdf = pytest.importorskip("h5netcdf")
+    prior, grid, _ = sliding_scene()
+    save_posterior(estimate(prior, grid.at_times(grid.time[:1]), []), tmp_path / "one.nc")
+    load_posterior(tmp_path / "one.nc")
+    with h5netcdf.File(tmp_path / "one.nc", "a") as file:
+        file.attrs["time_span"] = span
+    with pytest.raises(GlissandoError, match="its node stands for"):
+        load_posterior(tmp_path / "one.nc")

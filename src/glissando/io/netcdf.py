@@ -11,20 +11,19 @@ import json
 from collections.abc import Sequence
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from glissando.errors import GlissandoError, needing
 from glissando.estimation.carried import carried, has_rolled
-from glissando.estimation.loads import load_places
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.solve_report import SolveReport
-from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import new_file
+from glissando.io.labelled_posterior import FIELDS, Variables, labelled
 from glissando.io.plain_file import largest_deflated, require_plain
-from glissando.io.provenance import require_readable, stated_format, versions
+from glissando.io.provenance import require_readable, versions
 from glissando.io.robot_file import OLD_KINDS
 from glissando.model.grid import Grid
 from glissando.model.priors.mechanical.prior import MechanicalPrior
@@ -37,9 +36,6 @@ from glissando.model.state import State
 from glissando.model.table import Table
 from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
 
-if TYPE_CHECKING:
-    import xarray
-
 _DAMAGED = (
     ValueError,
     KeyError,
@@ -49,20 +45,10 @@ _DAMAGED = (
     RuntimeError,
     OverflowError,
 )
-_Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]
-"""Dimensions, values and attributes by name."""
-
 _PACKED, _CHUNK = 1 << 16, 1 << 20  # bytes of a variable that is packed, and of what at once
 _SKEW = 1e-6  # by which rotations may fail to be orthogonal
-_SIX = ["x", "y", "z", "rx", "ry", "rz"]
-_FIELDS = ("pose", "strain", "velocity", "strain_rate", "inertia")
-_POINTS = [f"linearized_{field}" for field in _FIELDS]
-_READ = ("time", "arclength", *_FIELDS, *_POINTS, "information", "information_below")
-COMPONENTS = [f"{field}_{part}" for field in _FIELDS for part in _SIX]
-"""Names of a node's components in the order of every covariance.
-
-18 for all priors, 24 with a strain rate, 30 with inertia.
-"""
+_POINTS = [f"linearized_{field}" for field in FIELDS]
+_READ = ("time", "arclength", *FIELDS, *_POINTS, "information", "information_below")
 
 
 def _packages() -> Any:
@@ -73,102 +59,13 @@ def _packages() -> Any:
     return h5netcdf, h5py
 
 
-def to_xarray(posterior: Posterior) -> xarray.Dataset:
-    """Mean, standard deviation and covariance at the nodes, with names and units.
-
-    Raises:
-        GlissandoError: xarray is not installed.
-    """
-    with needing("Labelled arrays need xarray", "netcdf"):
-        import xarray
-    return xarray.Dataset(*_labelled(posterior))
-
-
-def _labelled(posterior: Posterior) -> tuple[_Variables, _Variables, dict[str, Any]]:
-    """Variables, coordinates and attributes of what a posterior says at its nodes."""
-    dof, six = posterior.state.dof, "component6"
-    variables = _states(posterior)
-    if isinstance(posterior.prior, MechanicalPrior):
-        variables |= _loads(posterior, posterior.prior)
-    names = {
-        "axis": ["x", "y", "z"],
-        "quaternion_part": ["w", "x", "y", "z"],
-        six: _SIX,
-        "component": COMPONENTS[:dof],
-        "component_": COMPONENTS[:dof],
-    }
-    coordinates: _Variables = {
-        "time": (("time",), posterior.grid.time, {"units": "s"}),
-        "arclength": (("arclength",), posterior.grid.arclength, {"units": "m"}),
-        **{name: ((name,), np.array(each, dtype=object), {}) for name, each in names.items()},
-    }
-    if "load" in variables:
-        coordinates["place"] = variables.pop("place")
-    attributes = {
-        "title": "Posterior of a continuum robot's motion",
-        "format": stated_format("posterior"),
-    }
-    return variables, coordinates, attributes
-
-
-def _states(posterior: Posterior) -> _Variables:
-    """Means, standard deviations and covariances at the nodes."""
-    k, n = posterior.grid.shape
-    state, dof = posterior.state, posterior.state.dof
-    of_nodes = posterior.marginals.cov[:, : n * dof, : n * dof]
-    cov = np.einsum("kninj->knij", of_nodes.reshape(k, n, dof, n, dof))
-    node, six = ("time", "arclength"), "component6"
-    std = np.sqrt(np.einsum("knii->kni", cov))
-    units = ["m", "rad", "1", "1/m", "m/s", "rad/s", "1/s", "1/m/s", "m/s²", "m/s³"]
-    mixed = ", ".join(units[: dof // 3])
-    variables: _Variables = {
-        "position": ((*node, "axis"), state.pose[..., :3, 3], {"units": "m", "frame": "world"}),
-        "quaternion": (
-            (*node, "quaternion_part"),
-            se3.quaternion(state.pose[..., :3, :3]),
-            {"units": "1", "convention": "w, x, y, z; body to world"},
-        ),
-        "strain": ((*node, six), state.strain, {"units": "1, 1/m", "frame": "body"}),
-        "velocity": ((*node, six), state.velocity, {"units": "m/s, rad/s", "frame": "body"}),
-        "std": ((*node, "component"), std, {"units": mixed, "frame": "body"}),
-        "cov": (
-            (*node, "component", "component_"),
-            cov,
-            {"units": "product of the components' units", "frame": "body, pose on the right"},
-        ),
-    }
-    if state.strain_rate is not None:
-        of_rate = {"units": "1/s, 1/m/s", "frame": "body"}
-        variables["strain_rate"] = ((*node, six), state.strain_rate, of_rate)
-    if state.inertia is not None:
-        of_inertia = {"units": "m/s², m/s³", "frame": "world"}
-        variables["inertia"] = ((*node, six), state.inertia, of_inertia)
-    return variables
-
-
-def _loads(posterior: Posterior, prior: MechanicalPrior) -> _Variables:
-    """Internal wrenches at the nodes and the loads where some are expected, with their places."""
-    time, arclength = posterior.grid.time[:, None], posterior.grid.arclength
-    place = load_places(prior, posterior.grid)
-    inner, load = posterior.wrench(arclength, time), posterior.load(place, time)
-    units = {"units": "N, N m", "frame": "body"}
-    six = "component6"
-    return {
-        "wrench": (("time", "arclength", six), inner.wrench, units),
-        "wrench_std": (("time", "arclength", six), inner.std, units),
-        "load": (("time", "place", six), load.wrench, units),
-        "load_std": (("time", "place", six), load.std, units),
-        "place": (("place",), place, {"units": "m"}),
-    }
-
-
 def save_posterior(posterior: Posterior, path: str | Path) -> None:
     """Write everything that `load_posterior` needs to a NetCDF-4 (HDF5) file.
 
     Raises:
         GlissandoError: The file cannot be written, or h5netcdf is not installed.
     """
-    variables, coordinates, attributes = _labelled(posterior)
+    variables, coordinates, attributes = labelled(posterior)
     slab = ("slab", "slab_")
     variables["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose, {})
     variables["information"] = (("time", *slab), posterior.system.diagonal, {})
@@ -191,7 +88,7 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
         building.write_bytes(image)
 
 
-def _image(variables: _Variables, attributes: dict[str, Any]) -> bytes:
+def _image(variables: Variables, attributes: dict[str, Any]) -> bytes:
     """The bytes of a NetCDF-4 file of variables and attributes."""
     image, (h5netcdf, h5py) = io.BytesIO(), _packages()
     with h5netcdf.File(image, "w") as file:
@@ -210,10 +107,10 @@ def _image(variables: _Variables, attributes: dict[str, Any]) -> bytes:
     return image.getvalue()
 
 
-def _linearization(posterior: Posterior) -> _Variables:
+def _linearization(posterior: Posterior) -> Variables:
     """The states (2, K, N) at which a posterior was linearised and weighted."""
-    variables: _Variables = {}
-    for name, key in zip(_FIELDS, _POINTS, strict=True):
+    variables: Variables = {}
+    for name, key in zip(FIELDS, _POINTS, strict=True):
         each = [getattr(state, name) for state in posterior.linearized or ()]
         if each and each[0] is not None:
             entries = ("row", "column") if name == "pose" else ("component6",)
@@ -256,8 +153,11 @@ def _posterior(arrays: dict[str, Array], attributes: dict[str, Any], name: str) 
     before = attributes.get("time_before")
     before = None if before is None else float(before)
     grid = Grid(_numbers(arrays, "arclength"), _numbers(arrays, "time"), before)
-    grid = grid.at_times(grid.time, before, float(attributes.get("time_span", 1.0)))
-    state = State(*(_numbers(arrays, field) for field in _FIELDS if field in arrays))
+    span = float(attributes.get("time_span", 1.0))
+    if not 0.0 < span < np.inf:
+        raise ValueError(f"its node stands for {span:g} s")
+    grid = grid.at_times(grid.time, before, span)
+    state = State(*(_numbers(arrays, field) for field in FIELDS if field in arrays))
     blocks = (_numbers(arrays, key) for key in ("information", "information_below"))
     estimated = [_as_sensor_parameter(table) for table in json.loads(parameters)]
     system = BlockTridiagonal(*blocks)
