@@ -81,6 +81,14 @@ def test_truth_of_another_time_is_named(recording, tmp_path, capsys, command):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("window", "warned"), [((0.5, 1.5), False), ((-4, 1), True)])
+def test_a_window_beyond_all_readings_is_named(recording, capsys, window, warned):
+    assert run("estimate", recording, "--window", *window, "--json") == 0
+    said = capsys.readouterr().err
+    assert ("the window of -4 to 1 s: what lies beyond them is predicted" in said) == warned
+
+
+@pytest.mark.slow
 def test_an_estimate_starts_from_an_earlier_one_and_says_how_to_go_on(recording, tmp_path, capsys):
     out = tmp_path / "out"
     assert run("estimate", recording, "--window", 0, 1, "--max-iterations", 1) == 1

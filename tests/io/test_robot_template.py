@@ -1,6 +1,7 @@
 """Robot files for robots of which little is known: they load, scale, and refuse wrong units."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,11 @@ from hypothesis import strategies as st
 from draws import law
 from glissando.cli.main import main
 from glissando.errors import RobotFileError
+from glissando.io.physics_template import physics_text
 from glissando.io.robot_file import load_robot
 from glissando.io.robot_template import RobotOutline, robot_text
+from glissando.simulation import load_bench
+from glissando.simulation.simulate import simulate
 
 SENSORS = ["pose:a", "coil", "gyro:b", "strain", "fbg", "position:c"]
 KNOWN = {
@@ -112,6 +116,34 @@ def test_the_command_writes_once_and_says_what_it_lacks(tmp_path, capsys, monkey
     answers = iter(["wide"])
     assert main([*words[:-1], str(tmp_path / "other.toml")]) == 2
     assert "'wide' is no number" in capsys.readouterr().err
+
+
+@law
+@given(st.floats(0.05, 2.0), st.integers(1, 4), st.floats(0.01, 0.05), st.floats(0.5, math.pi))
+def test_a_robot_of_any_size_can_be_simulated(tmp_path_factory, length, segments, share, bend):
+    outline = RobotOutline("mine", length, segments, share * length, bend, ["coil:coil"])
+    file = tmp_path_factory.mktemp("new") / "mine.toml"
+    file.write_text(robot_text(outline) + physics_text(outline), encoding="utf-8")
+    load_robot(file)
+    bench = load_bench(file)
+    pulled = bench.shape("C")
+    flaws = replace(bench.flaws, set_curvature=0.0)
+    motion = bench.move(pulled, flaws, 0)
+    pose = motion.at(np.array([0.0, length]), np.zeros(2)).pose
+    turned = math.acos(np.clip(pose[0, :3, 2] @ pose[1, :3, 2], -1.0, 1.0))
+    # Gravity and the friction of tendons take up to half of what the tension bends.
+    wanted = min(0.5 * bend * segments, math.radians(150.0))
+    assert 0.3 * wanted < turned < 1.3 * wanted
+
+
+def test_a_robot_of_ones_own_is_simulated(tmp_path, capsys):
+    file = tmp_path / "own.toml"
+    words = "robot new --length 0.3 --segments 1 --diameter 0.006 --bend 90 --sensors coil:coil"
+    assert main([*words.split(), "--physics", "--out", str(file)]) == 0
+    assert "simulate --shape C --robot" in capsys.readouterr().out
+    session = simulate(file, shape="straight-to-C", slide="oscillate", cycles=1)
+    assert session.coil.time.size > 100
+    assert np.ptp(session.coil.arclength) == pytest.approx(0.06, abs=0.002)
 
 
 @pytest.mark.parametrize(("bend", "status"), [("6.28", 2), ("12.566", 2), ("6", 0), ("7", 0)])

@@ -11,12 +11,13 @@ from shlex import quote
 from glissando.cli.shared import Commands, add_command, names
 from glissando.errors import GlissandoError
 from glissando.io.atomic_file import write_text
+from glissando.io.physics_template import physics_text
 from glissando.io.robot_template import RobotOutline, robot_text
 
 _HELP = """\
 Write a commented robot file for a robot of one's own, with nothing learned: length, segments,
 diameter, largest bend and sensors give broad numbers that keep confidence true. What is not given
-is asked for on a terminal.
+is asked for on a terminal. With --physics `glissando simulate` can have the robot, too.
 
 A sensor is a kind (pose, coil, position, orientation, gyro, strain, fbg), or KIND:STREAM for a
 stream of a recording, whose mount, drift or delay is then estimated.
@@ -27,6 +28,8 @@ examples:
       --out first.toml
   glissando robot new --length 0.466 --segments 2 --diameter 0.012 --bend 180 \\
       --sensors pose:aurora0,pose:aurora1,gyro:gyro_mid,gyro:gyro_ee --out mine.toml
+  glissando robot new --length 0.3 --segments 1 --diameter 0.006 --bend 90 --sensors coil:coil \\
+      --physics --out planned.toml
   glissando robot new --out asked.toml
 
 exit status: 0 done; 2 something given was wrong.
@@ -55,6 +58,8 @@ def add_to(commands: Commands) -> None:
     add("--stretch", type=float, default=0.05, metavar="SHARE", help=stretch)
     change = "seconds in which the shape can change altogether (default 0.5)"
     add("--time-scale", type=float, default=0.5, metavar="S", help=change)
+    physics = "tubes, tendons and a stage that such a robot may have, too, to simulate it"
+    add("--physics", action="store_true", help=physics)
     add("--out", type=Path, required=True, metavar="FILE", help="robot file to write, a new one")
 
 
@@ -87,7 +92,8 @@ def _robot(options: argparse.Namespace) -> int:
         stretch=options.stretch,
         time_scale=options.time_scale,
     )
-    write_text(out, robot_text(outline))
+    physics = physics_text(outline) if options.physics else ""
+    write_text(out, robot_text(outline) + physics)
     bare = [kind for kind in outline.sensors if ":" not in kind]
     if bare:
         print(
@@ -95,7 +101,10 @@ def _robot(options: argparse.Namespace) -> int:
             f"KIND:STREAM for what may be mounted a little off.",
             file=sys.stderr,
         )
-    print(f"Wrote {out}. Now: glissando estimate RECORDING --robot {quote(str(out))} --out results")
+    robot = f"--robot {quote(str(out))}"
+    estimate = f"estimate RECORDING {robot} --out results"
+    simulated = f"simulate --shape C {robot} --out simulated"
+    print(f"Wrote {out}. Now: glissando {simulated if physics else estimate}")
     return 0
 
 

@@ -75,8 +75,8 @@ def add_to(commands: Commands) -> None:
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "simulate", texts, _simulate)
     add = parser.add_argument
-    robots = ", ".join(shipped_robots())
-    add("--robot", default="sliding700", metavar="FILE|NAME", help=f"robot file, or of {robots}")
+    robots = "robot file with [physics], of `robot new --physics` or your own (default sliding700)"
+    add("--robot", default="sliding700", metavar="FILE|NAME", help=robots)
     add("--shape", default="S", metavar="NAME|FILE", help="straight, C, S, C-to-S or a TOML file")
     slides = "hold, oscillate, traverse (a stage as long as the robot) or a CSV file"
     add("--slide", default="oscillate", metavar="NAME|FILE", help=slides)

@@ -33,6 +33,7 @@ from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import Progress, SolverOptions
 
+_PAUSE = 1.0  # s that readings pause
 _OBSERVED = 0.98  # of what was stated of a sensor parameter: below it, readings determine it
 
 
@@ -177,11 +178,27 @@ def chosen_streams(
     require_rows(recording, [*(use or ()), *(truth or ())], window)
     use, truth = recording.choose(use, truth)
     readings, dropped = recording.readings(use, robot, window)
+    _warn_of_prediction(readings, window)
     references, _ = recording.readings(truth, robot, window, as_truth=True)
     for name, reference in zip(truth, references, strict=True):
         if not len(reference):
             _warn_of_other_times(recording.stream(name), window)
     return readings, [corrected(t, robot.sensor_parameters) for t in references if len(t)], dropped
+
+
+def _warn_of_prediction(readings: Sequence[Readings], window: tuple[float, float]) -> None:
+    """Warn of a window whose beginning or end is farther from any reading than a pause would be."""
+    times = [r.time for r in readings if len(r)]
+    if not times:
+        return
+    first, last = min(t.min() for t in times), max(t.max() for t in times)
+    if max(first - window[0], window[1] - last) > _PAUSE:
+        warnings.warn(
+            f"Readings are of {seconds(first, last)} s, the window of {seconds(*window)} s: what "
+            f"lies beyond them is predicted.",
+            OtherTimesWarning,
+            stacklevel=3,
+        )
 
 
 def _warn_of_other_times(truth: Stream, window: tuple[float, float]) -> None:

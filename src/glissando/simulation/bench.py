@@ -138,7 +138,8 @@ def load_bench(path: Path) -> Bench:
     if physics is None:
         raise SimulationError(
             f"{path.name} has no [physics]: it can be estimated, not simulated. Add its tubes, "
-            f"tendons and stage, or choose another robot."
+            f"tendons and stage, as `glissando robot new --physics` writes them, or choose another "
+            f"robot."
         )
     length, rest = table.number("length"), table.vector("rest_strain", 6, STRAIGHT)
     return _bench(physics, length, rest, base.pose() if base else np.eye(4))
