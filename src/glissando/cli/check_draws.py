@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 
 from glissando.cli.console import Console
@@ -21,9 +22,12 @@ from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import load_robot
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot
+from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 from glissando.visualization.canvas import save_figure
 from glissando.visualization.evaluation_figures import ecdf_figure
+
+_STEPS = 60  # time nodes of a session with the readings of a recording
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -76,9 +80,26 @@ def _robot_and_layout(
         raise GlissandoError(f"--draws takes places and times of a recording; {folder} is none.")
     recording = load_recording(folder)
     robot = chosen_robot(recording, options.robot)
-    window = checked_window(recording, tuple(options.window) if options.window else None)
+    window = tuple(options.window) if options.window else None
+    if window is None:
+        window = _middle(checked_window(recording, None), _STEPS / robot.time_rate)
+        print(
+            f"Sessions have the readings of {seconds(*window)} s; give --window T0 T1 for others.",
+            file=sys.stderr,
+        )
+    window = checked_window(recording, window)
     readings, _, _ = chosen_streams(recording, robot, window, options.use, options.truth)
     return robot, (robot.grid(*window, readings), readings)
+
+
+def _middle(window: tuple[float, float], most: float) -> tuple[float, float]:
+    """The middle of a window, `most` seconds long if it is longer.
+
+    >>> _middle((0.0, 10.0), 2.0)
+    (4.0, 6.0)
+    """
+    spare = max(0.5 * (window[1] - window[0] - most), 0.0)
+    return window[0] + spare, window[1] - spare
 
 
 def _print(robot: Robot, check: SimulationCheck) -> None:
