@@ -95,7 +95,7 @@ def surprise(problem, error, cov):
 
 
 def tuned(name, solve, stiffest):
-    """Decimal logarithms of the numbers under which `solve` foretells the truth best.
+    """Decimal logarithms of the numbers under which `solve` predicts the truth best.
 
     Free are the densities of shear and of bending, the variance of the base's bending, and the
     noise of a real tracker; torsion hardly shows.

@@ -16,7 +16,7 @@ READ = [3, 6, 9, 12]  # stations of the steel rod that are read, its tip the las
 
 @dataclass(frozen=True)
 class Problem:
-    """Shapes to estimate: poses read, and true positions to foretell, each row of a shape.
+    """Shapes to estimate: poses read, and true positions to predict, each row of a shape.
 
     `base_std` says how firmly every shape stands on `base_pose`; 0 where the base is read.
     `stations` hold all places read and asked, the base too; `true_std` is the truth's own error.

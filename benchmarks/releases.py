@@ -21,7 +21,7 @@ from glissando.errors import GlissandoError, NoShapeError
 from glissando.simulation import Rod, Wrench
 from glissando.simulation.dynamics import DynamicMotion, Scenario, TimedWrench, simulate_motion
 from glissando.simulation.mesh import Mesh
-from glissando.simulation.rod_equations import Instant, RodEquations
+from glissando.simulation.rod_equations import AppliedLoads, RodEquations
 from glissando.simulation.rod_mechanics import natural_frequencies
 
 _HEAD = (
@@ -105,7 +105,7 @@ def main_frequency(motion: np.ndarray, rate: float) -> float:
 def modes(rod: Rod) -> np.ndarray:
     """Frequencies (2,) of the first two bending modes of the clamped rod on two elements, Hz."""
     equations = RodEquations.of(rod, [], Mesh.through([0.0, rod.length], 0.5 * rod.length))
-    instant = Instant(rod.base, np.zeros(3), np.zeros((0, 4)))
+    instant = AppliedLoads(rod.base, np.zeros(3), np.zeros((0, 4)))
     at = equations.at(np.stack([equations.rest, *np.zeros((2, *equations.rest.shape))]), instant)
     return natural_frequencies(equations, at, instant)[[0, 2]]  # each stands twice, x and y
 

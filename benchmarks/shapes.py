@@ -1,7 +1,7 @@
 """Is confidence true on shapes of another group's solver? Learned on 125 of them, judged on 250.
 
 A clamped steel rod of 0.6 m bends under gravity and a random force and moment at its middle and at
-its tip. A sliding coil stops at five of its stations; the position at the others is foretold.
+its tip. A sliding coil stops at five of its stations; the position at the others is predicted.
 Of the first 250 shapes every second is learned from, for speed; the last 250 are judged.
 Usage: shapes.py [--learn]   (--learn learns the prior's numbers again first, in a quarter hour)
 """
@@ -108,7 +108,7 @@ class Shape:
         return [CoilReadings(time=np.zeros(READ), arclength=s, values=self.coil, cov=cov)]
 
     def truth(self, robot):
-        """What to foretell: true positions where the coil did not stop."""
+        """What to predict: true positions where the coil did not stop."""
         s, place = STATIONS[self.unread], self.pose[self.unread, :3, 3]
         zero = np.zeros(s.size)
         return [PositionReadings(time=zero, arclength=s, values=place, cov=ROUNDING**2)]
@@ -129,7 +129,7 @@ def read_shapes(poses, numbers):
 
 
 def relearn(poses):
-    """Learn from START on TUNED_ON to foretell the positions where the coil did not stop."""
+    """Learn from START on TUNED_ON to predict the positions where the coil did not stop."""
     document = expanded(START)
     parameters = [p for p in learnable(document, []) if p.label != "time scale"]
     found = learn(document, parameters, read_shapes(poses, TUNED_ON), steps=30)

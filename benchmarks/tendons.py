@@ -1,4 +1,4 @@
-"""Learn a robot of three segments and nine tendons, and foretell the tip of other runs.
+"""Learn a robot of three segments and nine tendons, and predict the tip of other runs.
 
 The files are those of `data/sysid` of github.com/ContinuumRoboticsLab/opencr-mujoco: displacements
 of servos and the position of a marker beyond the tip. The robot is that of benchmarks/tendon_robots
@@ -79,7 +79,7 @@ def _robot_of(names: tuple[str, ...]) -> Robot:
 
 
 def _judged(robot: Robot, rows: _Rows) -> dict[str, float]:
-    """Errors of the foretold tips, and how many lie inside their 95 % ellipsoids."""
+    """Errors of the predicted tips, and how many lie inside their 95 % ellipsoids."""
     position, cov = predict_tip(robot, rows.displacement, TIP)
     error = rows.tip - position
     size = np.linalg.norm(error, axis=1)
@@ -108,7 +108,7 @@ def _blocks(pattern: np.ndarray) -> np.ndarray:
 
 
 def main() -> int:
-    """Learn, foretell, and print the errors."""
+    """Learn, predict, and print the errors."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     add = parser.add_argument
     add("--train", type=Path, nargs="+", required=True, metavar="FILE")

@@ -17,7 +17,7 @@ from glissando.io.robot_file import load_robot
 
 
 def main() -> None:
-    """Foretell, draw and save."""
+    """Predict, draw and save."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--robot", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)

@@ -18,7 +18,7 @@ def poses():
 
 
 @pytest.mark.slow
-def test_what_was_learned_on_some_shapes_foretells_others(poses):
+def test_what_was_learned_on_some_shapes_predicts_others(poses):
     assert set(shapes.TUNED_ON) <= set(range(250))
     assert set(shapes.REPORTED_ON) == set(range(250, 500))
     judged = shapes.judge(shapes.LEARNED, shapes.read_shapes(poses, shapes.REPORTED_ON))

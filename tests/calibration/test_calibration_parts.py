@@ -9,9 +9,9 @@ from scipy.linalg import block_diag
 
 import rigs_drawn as rigs
 from glissando.calibration.rig.calibrate import _fit_direction
+from glissando.calibration.rig.initial_guess import registration
 from glissando.calibration.rig.model import CoilModel
 from glissando.calibration.rig.rig import PARAMETERS, Rig, side_of_backlash
-from glissando.calibration.rig.rough import registration
 from glissando.calibration.rig.shape import _moves, estimate_shape, shape_covariance
 from glissando.calibration.rig.slide_timing import LATEST, slide_lag
 from glissando.estimation.posterior import Posterior
@@ -54,8 +54,8 @@ def test_a_coil_on_its_stated_mount_is_where_the_model_expects_it_whatever_its_r
     arclength, time = model.points(known)
     roll = np.zeros((time.size, 6))
     roll[:, 5] = np.linspace(-3.0, 3.0, time.size)
-    sits = known.sits(arclength, plain) @ stated
-    said = se3.inverse(known.T_wt) @ model.states(arclength, time).pose @ sits @ se3.exp(roll)
+    mount_at = known.mount_at(arclength, plain) @ stated
+    said = se3.inverse(known.T_wt) @ model.states(arclength, time).pose @ mount_at @ se3.exp(roll)
     ideal = replace(model, data=replace(model.data, coil=said))
     np.testing.assert_allclose(ideal.residual(known), 0.0, atol=1e-9)
 
@@ -101,12 +101,12 @@ def test_bodies_are_seen_to_move_and_to_hold():
 def test_the_covariance_of_a_bunch_is_that_of_the_mean_of_its_readings():
     model, known = small_model()
     data, _ = rigs.drawn(0)
-    assert data.bunch == 5
-    model = replace(model, data=data.at(np.arange(100, 500)).bunches(5, 10), bunch=5)
-    each = replace(model, bunch=1).covariance(known)
+    assert data.block_size == 5
+    model = replace(model, data=data.at(np.arange(100, 500)).blocks(5, 10), block_size=5)
+    each = replace(model, block_size=1).covariance(known)
     assert np.allclose(
         model.residual(known),
-        replace(model, bunch=1).residual(known).reshape(-1, 5, 5).mean(axis=1).ravel(),
+        replace(model, block_size=1).residual(known).reshape(-1, 5, 5).mean(axis=1).ravel(),
     )
     mean = np.kron(np.kron(np.eye(10), np.full((1, 5), 0.2)), np.eye(5))
     there, said = mean @ each @ mean.T, model.covariance(known)
@@ -117,12 +117,12 @@ def test_the_covariance_of_a_bunch_is_that_of_the_mean_of_its_readings():
 def test_bunches_are_of_readings_that_follow_each_other_closely():
     data, _ = rigs.drawn(0)
     gone = np.delete(np.arange(400), np.arange(100, 140))  # a second
-    some = data.at(gone).bunches(5, 1000)
+    some = data.at(gone).blocks(5, 1000)
     lasts = some.coil_time.reshape(-1, 5)[:, -1] - some.coil_time.reshape(-1, 5)[:, 0]
     assert np.all(lasts < 0.15)
     assert some.coil_time.size >= 350
-    assert data.bunches(5, 7).coil_time.size == 35
-    assert data.at(np.arange(0, 400, 5)).bunch == 1
+    assert data.blocks(5, 7).coil_time.size == 35
+    assert data.at(np.arange(0, 400, 5)).block_size == 1
 
 
 @pytest.mark.slow

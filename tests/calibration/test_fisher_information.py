@@ -20,7 +20,7 @@ def world(seed):
         moves = rng.standard_normal((COUNT, moments, rows))
         streams.append((root, spread, moves))
 
-    def foretold(x, white):
+    def predicted(x, white):
         out = []
         for (root, spread, moves), w in zip(streams, white, strict=True):
             at = root @ (np.eye(root.shape[1]) + np.einsum("p,pij->ij", x, spread))
@@ -31,43 +31,48 @@ def world(seed):
     def draw(generator):
         return [generator.standard_normal(root.shape[:2]) for root, _, _ in streams]
 
-    return foretold, draw
+    return predicted, draw
 
 
-def score(foretold):
+def score(predicted):
     total = 0.0
-    for residual, cov in foretold:
+    for residual, cov in predicted:
         square = np.einsum("mi,mij,mj", residual, np.linalg.inv(cov), residual)
         log_det = np.sum(np.linalg.slogdet(2.0 * np.pi * cov)[1])
         total -= 0.5 * (square + log_det)
-    count = sum(residual.size for residual, _ in foretold)
-    return Score(total / count, count, float(count), (), foretold)
+    count = sum(residual.size for residual, _ in predicted)
+    return Score(total / count, count, float(count), (), predicted)
 
 
-def about(foretold, white, x, nudge=NUDGE):
-    centre = score(foretold(x, white))
-    beside = [score(foretold(x + step, white)) for step in nudge * np.eye(COUNT)]
+def about(predicted, white, x, nudge=NUDGE):
+    centre = score(predicted(x, white))
+    beside = [score(predicted(x + step, white)) for step in nudge * np.eye(COUNT)]
     return centre, beside
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_slopes_are_those_of_the_likelihood(seed):
-    foretold, draw = world(seed)
+    predicted, draw = world(seed)
     white, x = draw(np.random.default_rng(seed)), np.linspace(-0.1, 0.1, COUNT)
-    slope, _ = fisher_information.slopes(*about(foretold, white, x), NUDGE)
-    ends = [[score(foretold(x + s, white)).value for s in d * np.eye(COUNT)] for d in (1e-5, -1e-5)]
+    slope, _ = fisher_information.slopes(*about(predicted, white, x), NUDGE)
+    ends = [
+        [score(predicted(x + s, white)).value for s in d * np.eye(COUNT)] for d in (1e-5, -1e-5)
+    ]
     np.testing.assert_allclose(slope, -np.subtract(*ends) / 2e-5, atol=2e-3)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_the_information_is_the_mean_product_of_slopes(seed):
-    foretold, draw = world(seed)
+    predicted, draw = world(seed)
     rng, zero = np.random.default_rng(seed), np.zeros(COUNT)
-    centre, beside = about(foretold, draw(rng), zero)
+    centre, beside = about(predicted, draw(rng), zero)
     _, information = fisher_information.slopes(centre, beside, NUDGE)
     slopes = np.array(
-        [fisher_information.slopes(*about(foretold, draw(rng), zero), NUDGE)[0] for _ in range(600)]
+        [
+            fisher_information.slopes(*about(predicted, draw(rng), zero), NUDGE)[0]
+            for _ in range(600)
+        ]
     )
     seen = centre.samples * slopes.T @ slopes / len(slopes)
     scale = np.sqrt(np.diag(information))
@@ -77,8 +82,8 @@ def test_the_information_is_the_mean_product_of_slopes(seed):
 
 
 def test_a_parameter_without_an_estimate_has_no_slope_and_no_information():
-    foretold, draw = world(7)
-    centre, beside = about(foretold, draw(np.random.default_rng(0)), np.zeros(COUNT))
+    predicted, draw = world(7)
+    centre, beside = about(predicted, draw(np.random.default_rng(0)), np.zeros(COUNT))
     every, of_every = fisher_information.slopes(centre, beside, NUDGE)
     slope, information = fisher_information.slopes(centre, [beside[0], None, beside[2]], NUDGE)
     others = [0, 2]

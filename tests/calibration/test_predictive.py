@@ -1,4 +1,4 @@
-"""Foretelling truth: its score, and the frame and mounts that it is seen in."""
+"""Predicting truth: its score, and the frame and mounts that it is seen in."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Tendons from the command line: files of servos in, a robot learned, its tip foretold."""
+"""Tendons from the command line: files of servos in, a robot learned, its tip predicted."""
 
 import json
 
@@ -53,7 +53,7 @@ def start(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_robot_is_learned_from_imported_servos_and_foretells_other_moves(tmp_path, start, capsys):
+def test_a_robot_is_learned_from_imported_servos_and_predicts_other_moves(tmp_path, start, capsys):
     rng, out = np.random.default_rng(0), tmp_path / "learned.toml"
     pulled = moves(rng, 300)
     servo_file(tmp_path / "servo.csv", pulled, rng)
@@ -68,15 +68,15 @@ def test_a_robot_is_learned_from_imported_servos_and_foretells_other_moves(tmp_p
     tip = servo_file(tmp_path / "other.csv", other, rng, noise=0.0)
     assert main(["predict", "--robot", str(out), "--tendons", str(tmp_path / "other.csv"),
                  "--arclength", "0.1,0.2", "--stream", "tip",
-                 "--out", str(tmp_path / "foretold")]) == 0  # fmt: skip
+                 "--out", str(tmp_path / "predicted")]) == 0  # fmt: skip
     stream = ["--tendons", str(tmp_path / "rec" / "tendons.csv"), "--out", str(tmp_path / "same")]
     assert main(["predict", "--robot", str(out), *stream]) == 0
-    table = np.loadtxt(tmp_path / "foretold" / "query.csv", delimiter=",", skiprows=1)
-    head = (tmp_path / "foretold" / "query.csv").read_text().splitlines()[0]
+    table = np.loadtxt(tmp_path / "predicted" / "query.csv", delimiter=",", skiprows=1)
+    head = (tmp_path / "predicted" / "query.csv").read_text().splitlines()[0]
     assert head == ",".join(QUERY_COLUMNS)
     assert len(table) == 180
     position, cov = predict_tip(load_robot(out), other, "tip")
-    marker = np.loadtxt(tmp_path / "foretold" / "marker_tip.csv", delimiter=",", skiprows=1)
+    marker = np.loadtxt(tmp_path / "predicted" / "marker_tip.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(marker[:, 1:4], position, atol=1e-7)
     np.testing.assert_allclose(marker[:, 4:], cov[:, *np.triu_indices(3)], rtol=1e-3)
     error = tip - position
@@ -96,7 +96,7 @@ def test_a_robot_is_learned_from_imported_servos_and_foretells_other_moves(tmp_p
     capsys.readouterr()
     far = ["--tendons", str(tmp_path / "far.csv"), "--out", str(tmp_path / "far")]
     assert main(["predict", "--robot", str(out), *far]) == 0
-    assert "what is foretold beyond is less sure than it says" in capsys.readouterr().err
+    assert "what is predicted beyond is less sure than it says" in capsys.readouterr().err
 
 
 @pytest.mark.slow

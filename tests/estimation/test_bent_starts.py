@@ -216,7 +216,7 @@ def test_a_search_that_is_far_from_any_minimum_after_long_is_left_for_others(mon
         lost = len(asked) == 1
         return Scripted(*((500.0, Outcome.ITERATION_LIMIT) if lost else (5.6, Outcome.CONVERGED)))
 
-    sought = several_starts.Sought(
+    sought = several_starts.StartProblem(
         robot(np.pi).prior, Grid([0.0, LENGTH], [0.0]), [], SolverOptions(), None
     )
     assert several_starts.best_end(sought, (None, []), solve).cost == 5.6
@@ -248,7 +248,7 @@ def test_a_shape_whose_cost_is_plausible_is_kept_though_a_wrong_one_converges(
         tries.append(initial)
         return ends.pop() if ends else Scripted(*other)
 
-    sought = several_starts.Sought(robot(np.pi).prior, grid, [], SolverOptions(), None)
+    sought = several_starts.StartProblem(robot(np.pi).prior, grid, [], SolverOptions(), None)
     end = several_starts.best_end(sought, (None, []), solve)
     assert end.cost == kept
     assert end.iterations == 7 * len(tries)

@@ -1,4 +1,4 @@
-"""What tendons foretell does not depend on what is asked, and says what it leaves out."""
+"""What tendons predict does not depend on what is asked, and says what it leaves out."""
 
 import warnings
 from dataclasses import replace
@@ -35,7 +35,7 @@ def test_it_is_the_same_whichever_places_are_asked_for(pitch, seed):
     np.testing.assert_allclose(tip.std_position[0, -1], every.std_position[0, -1], rtol=0.03)
 
 
-def test_a_base_that_may_stand_elsewhere_moves_all_that_is_foretold():
+def test_a_base_that_may_stand_elsewhere_moves_all_that_is_predicted():
     robot, var = tendon_robot(psd_moment=1e-7, std=1e-4), np.repeat([1e-4, 1e-2], 3)
     sure, unsure = (
         predict(replace(robot, prior=replace(robot.prior, var_base=v)), TIME, commands(1))
@@ -47,7 +47,7 @@ def test_a_base_that_may_stand_elsewhere_moves_all_that_is_foretold():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_marker_is_foretold_as_surely_as_its_place_on_the_body(seed):
+def test_a_marker_is_predicted_as_surely_as_its_place_on_the_body(seed):
     robot = tendon_robot(psd_moment=1e-7, std=3e-4)
     robot = replace(robot, sensor_std={**robot.sensor_std, "position": np.full(3, 1e-4)})
     mount, frame = (se3.exp(robot.stated_transform(kind, "tip")) for kind in ("mount", "frame"))

@@ -19,9 +19,9 @@ from glissando.evaluation.simulation_based import (
     QUANTITIES,
     _estimated,
     bands,
-    misjudged,
     rank_checks,
     rank_points,
+    scaled_prior,
     simulate_and_rank,
 )
 from glissando.model.mechanics import Mechanics
@@ -148,7 +148,7 @@ def test_sessions_with_an_unknown_delay_converge_and_confidence_is_no_smaller_th
 
 def test_a_prior_scaled_by_a_factor_has_so_many_times_its_deviations():
     prior = load_robot("tdcr466-segments").prior
-    wide = misjudged(prior, 1.3)
+    wide = scaled_prior(prior, 1.3)
     for name in ("psd_strain_arclength", "jumps"):
         assert np.allclose(getattr(wide, name), 1.69 * getattr(prior, name))
     assert np.allclose(wide.base.strain, 1.69 * prior.base.strain)
@@ -231,7 +231,7 @@ def test_a_prior_that_is_misjudged_is_so_in_all_its_standard_deviations():
     ones, inertia = np.ones(6), Inertia(3, 1e-3, 0.0, 0.1)
     given = 1e-3 * ones, 1e-6 * ones, 1e-2 * ones, 0.5, 1e-6 * ones
     prior = MechanicalPrior(Mechanics(stiffness, 0.05), *given, inertia=inertia)
-    wrong = misjudged(prior, 2.0)
+    wrong = scaled_prior(prior, 2.0)
     np.testing.assert_allclose(wrong.var_tip, 4.0 * prior.var_tip)
     assert wrong.inertia.std_release == pytest.approx(2.0 * inertia.std_release)
     assert wrong.inertia.retardation == inertia.retardation

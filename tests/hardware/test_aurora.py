@@ -17,7 +17,7 @@ from sksurgerynditracker.nditracker import NDITracker
 from aurora_bench import SPEED, measured_time, simulated, tell_tale
 from glissando.errors import DeviceError, SimulationError
 from glissando.hardware.drivers import Aurora, aurora
-from glissando.hardware.drivers.link import Link, LostError, SilentError
+from glissando.hardware.drivers.link import ConnectionLostError, DeviceTimeoutError, Link
 from glissando.hardware.simulated_devices import started
 from glissando.hardware.simulated_devices.travel import MESSAGE
 
@@ -163,7 +163,7 @@ def test_a_device_that_stays_away_is_a_sentence(tmp_path):
         tracker = Aurora(address, rate=200.0, reconnect=0.5)
         tracker.__enter__()
         read(tracker, 5)
-    with pytest.raises(LostError, match=r"did not come back within 0.5 s\.$"):
+    with pytest.raises(ConnectionLostError, match=r"did not come back within 0.5 s\.$"):
         read(tracker, 500)
     with pytest.raises(DeviceError, match="not connected"):
         tracker.read()
@@ -284,7 +284,7 @@ def echo(server):
 def test_what_is_no_aurora_is_a_sentence():
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        with pytest.raises(SilentError, match=r"did not answer within 0.2 s .*switched on"):
+        with pytest.raises(DeviceTimeoutError, match=r"did not answer within 0.2 s .*switched on"):
             Aurora(address, patience=0.2).__enter__()
         server.accept()[0].close()
         thread = threading.Thread(target=echo, args=[server])

@@ -12,7 +12,7 @@ from glissando.errors import SimulationError
 from glissando.geometry import se3
 from glissando.hardware.drivers.aurora_protocol import frame_command, parse_bx, parse_tx
 from glissando.hardware.simulated_devices.aurora_device import Device, Nature, Sensing
-from glissando.hardware.simulated_devices.faults import AuroraFaults, Dice, parse_faults
+from glissando.hardware.simulated_devices.faults import AuroraFaults, FaultDraws, parse_faults
 from glissando.hardware.simulated_devices.scene import Scene, SceneCoil
 from glissando.hardware.simulated_devices.travel import MESSAGE, Travel
 from glissando.hardware.simulated_devices.vicon import Sender
@@ -21,14 +21,14 @@ from glissando.simulation.imperfections import Imperfections
 
 def device(faults="", scene=None, seed=0, **nature):
     scene = tell_tale() if scene is None else scene
-    dice, nature = Dice(parse_faults(AuroraFaults, faults), seed), Nature(0.0, **nature)
+    dice, nature = FaultDraws(parse_faults(AuroraFaults, faults), seed), Nature(0.0, **nature)
     return Device(scene, Sensing(scene, None, 0.0, 0.0, nature.rate), dice, nature)
 
 
 def say(dev, text, now=1.0):
     """The bytes that answer a command framed with a CRC, or with a space as it stands."""
     data = bytearray(text.encode() + b"\r" if " " in text else frame_command(text))
-    return b"".join(reply for _, reply in dev.hear(data, now))
+    return b"".join(reply for _, reply in dev.receive(data, now))
 
 
 def asked(dev, *texts, now=1.0):
@@ -92,14 +92,14 @@ def test_the_state_decides_the_answer(before, command, answer):
 @law
 def test_a_bad_crc_is_refused_and_any_bytes_leave_the_device_alive(rng):
     dev = device()
-    ((_, reply),) = dev.hear(bytearray(b"INIT:E3A6\r"), 0.0)
+    ((_, reply),) = dev.receive(bytearray(b"INIT:E3A6\r"), 0.0)
     assert reply[:-5] == b"ERROR04"
     held = bytearray()
     for _ in range(20):
         held.extend(
             rng.bytes(30) + rng.choice([b"\r", b"PVWR:0A\r", b"PHINF \r", b"PENA 0\r", b""])
         )
-        dev.hear(held, 0.0)
+        dev.receive(held, 0.0)
     held.clear()
     assert asked(dev, "INIT:") == ["OKAY"]
 
@@ -134,10 +134,10 @@ def test_a_counter_rolls_over():
 
 def test_a_wired_device_takes_the_time_its_baud_rate_gives():
     dev = device(wired=True)
-    (_, head), (slow, rest) = dev.hear(bytearray(frame_command("INIT:")), 0.0)
+    (_, head), (slow, rest) = dev.receive(bytearray(frame_command("INIT:")), 0.0)
     assert np.isclose(slow, 10 * (10 + len(head + rest)) / 9600)
-    dev.hear(bytearray(frame_command("COMM:50000")), 0.0)
-    (_, head), (fast, rest) = dev.hear(bytearray(frame_command("PHSR:02")), 0.0)
+    dev.receive(bytearray(frame_command("COMM:50000")), 0.0)
+    (_, head), (fast, rest) = dev.receive(bytearray(frame_command("PHSR:02")), 0.0)
     assert np.isclose(fast, 10 * (12 + len(head + rest)) / 115200)
 
 

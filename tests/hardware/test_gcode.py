@@ -145,18 +145,18 @@ def test_what_no_controller_says_is_refused():
 
 def test_the_simulated_axis_keeps_its_speed_and_acceleration():
     device, now = Grbl(acceleration=200.0), 0.0
-    device.hear(b"$J=G53G90G21X30.0F1200\n", now)
+    device.receive(b"$J=G53G90G21X30.0F1200\n", now)
     places = [device.advance(0.002 * k) for k in range(1500)]
     speed = np.diff(places) / 0.002
     assert places[-1] == 30.0
     assert np.abs(speed).max() <= 20.0 + 1e-6
     assert np.abs(np.diff(speed[:600])).max() / 0.002 <= 201.0
-    assert device.hear(b"$J=G53G90G21X99.0F1200\n", 9.0) == [b"error:15\r\n"]
-    assert device.hear(b"G1 X3\n", 9.0) == [b"error:16\r\n"]
-    assert device.hear(b"$J=G90G21X30.0F1200\n", 9.0) == [b"ok\r\n"]  # work coordinates
+    assert device.receive(b"$J=G53G90G21X99.0F1200\n", 9.0) == [b"error:15\r\n"]
+    assert device.receive(b"G1 X3\n", 9.0) == [b"error:16\r\n"]
+    assert device.receive(b"$J=G90G21X30.0F1200\n", 9.0) == [b"ok\r\n"]  # work coordinates
     assert device.advance(12.0) == 30.0 + device.work
-    device.hear(b"$J=G53G90G21X60.0F1200\n$J=G53G90G21X0.0F1200\n", 12.0)
-    assert device.hear(b"!", 12.5) == []
+    device.receive(b"$J=G53G90G21X60.0F1200\n$J=G53G90G21X0.0F1200\n", 12.0)
+    assert device.receive(b"!", 12.5) == []
     assert device.state == "Jog"  # it slows down
     held = device.advance(13.0)
     assert device.state == "Idle"

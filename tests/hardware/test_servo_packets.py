@@ -218,13 +218,13 @@ def test_silence_begins_and_ends_where_it_was_asked_to():
 def test_a_dead_servo_neither_hears_nor_answers_and_its_watchdog_bites():
     dead = line("dead=4")
     ping = packed(1, Do.PING)
-    assert [len(dead.hear(bytearray(ping), 0.1 * k)) for k in range(6)] == [1, 1, 1, 1, 0, 0]
+    assert [len(dead.receive(bytearray(ping), 0.1 * k)) for k in range(6)] == [1, 1, 1, 1, 0, 0]
     assert dead.servo._heard == pytest.approx(0.3)
 
 
 def test_late_answers_come_late_and_in_order():
     late = line("late=0.5:0.5")
-    when = [late.hear(bytearray(packed(1, Do.PING)), 0.01 * k)[0][0] for k in range(50)]
+    when = [late.receive(bytearray(packed(1, Do.PING)), 0.01 * k)[0][0] for k in range(50)]
     assert when == sorted(when)
     assert any(t == pytest.approx(0.01 * k + 0.5) for k, t in enumerate(when))
 

@@ -31,8 +31,8 @@ def test_homing_believes_no_single_answer(monkeypatch):
     with together(World(start=0.03)), Slide("w", STAGE) as slide:
         state, heard = slide._servo.state, []
 
-        def false_once(*, heed=True):
-            heard.append(state(heed=heed))
+        def false_once(*, check_error=True):
+            heard.append(state(check_error=check_error))
             return replace(heard[-1], position=6098) if len(heard) == 3 else heard[-1]
 
         monkeypatch.setattr(slide._servo, "state", false_once)

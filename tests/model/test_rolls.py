@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from draws import generators, law, motion, prior, sixes, states
-from glissando.estimation.carried import carried, carry
+from glissando.estimation.transported import transport, transported
 from glissando.geometry import se3
 from glissando.model.grid import Grid
 from glissando.model.priors.separable import SeparablePrior
@@ -215,9 +215,9 @@ def test_covariances_go_on_with_the_axes_as_the_dense_products_do(rng, kind, oth
         at = slice(n * start.dof, (n + 1) * start.dof)
         turns[:, at, at] = start.slope_to(end)[:, n]
     back = turns.swapaxes(1, 2)
-    found = carried(start, end, Marginals(cov.copy(), cross.copy()))
+    found = transported(start, end, Marginals(cov.copy(), cross.copy()))
     np.testing.assert_allclose(found.cov, turns @ cov @ back, atol=1e-12)
     np.testing.assert_allclose(found.cross, turns[:-1] @ cross @ back[1:], atol=1e-12)
     first = np.ascontiguousarray(start.slope_to(end)[:, 0, None, :DOF, :DOF])
-    own = carry(first, cov[:, :DOF, :DOF].copy())  # what a sensor sees of a node, by itself
+    own = transport(first, cov[:, :DOF, :DOF].copy())  # what a sensor sees of a node, by itself
     np.testing.assert_allclose(own, found.cov[:, :DOF, :DOF], atol=1e-12)

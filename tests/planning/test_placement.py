@@ -80,7 +80,7 @@ def test_slopes_by_shares_are_differences(rng):
         assert slope == pytest.approx(rise / (2 * nudge), rel=1e-4, abs=1e-7)
 
 
-def test_the_variance_foretold_is_what_the_estimator_says():
+def test_the_variance_predicted_is_what_the_estimator_says():
     zones, horizon = [Zone((0.3, 0.6))], 4.0 / ROBOT.time_rate
     candidates = candidates_of(ROBOT, "coil", 1.0, count=4)
     problem = placement_problem(ROBOT, candidates, zones, horizon=horizon)

@@ -17,7 +17,7 @@ from glissando.simulation.dynamics import (
     simulate_motion,
 )
 from glissando.simulation.mesh import Mesh
-from glissando.simulation.rod_equations import Instant, RodEquations
+from glissando.simulation.rod_equations import AppliedLoads, RodEquations
 from glissando.simulation.rod_mechanics import matrices, natural_frequencies
 from rods_drawn import any_robot
 
@@ -42,7 +42,7 @@ def soft(retardation=0.02, base=None):
 def at_rest(rod, tendons=()):
     equations = RodEquations.of(rod, tendons, Mesh.through([0.0, rod.length], 0.5 * rod.length))
     still = np.zeros_like(equations.rest)
-    instant = Instant(rod.base, np.zeros(3), np.zeros((len(tendons), 4)))
+    instant = AppliedLoads(rod.base, np.zeros(3), np.zeros((len(tendons), 4)))
     return equations, equations.at(np.stack([equations.rest, still, still]), instant), instant
 
 
@@ -74,7 +74,7 @@ def test_mass_damping_and_stiffness_are_slopes_of_the_balance(rng):
     cables = np.array([[3.0, 50.0, 0.5, 0.0]])
     plane = np.array([[0.0, 0, 0.1, 0, 0, -1.0, 40.0, 0.5, 0.0]])
     held = np.array([[1.0, *np.zeros(6), 0.1, 0.2, 0.3, 7.0, 0.4]])
-    instant = Instant(rod.base, instant.gravity, cables, held, plane)
+    instant = AppliedLoads(rod.base, instant.gravity, cables, held, plane)
     state = any_state(rng, equations)
     state[1:] = 0.0  # slopes leave the velocities and accelerations of inertia out
     slopes = matrices(equations, equations.at(state, instant), instant)

@@ -49,7 +49,7 @@ class World:
     def writePort(self, packet):  # noqa: N802
         self.passes(_SENDING)
         self.heard += 1
-        self._due += self.line.hear(bytearray(packet), self.now)
+        self._due += self.line.receive(bytearray(packet), self.now)
         self.answers.append((self.now, self.line.sent))
         return len(packet)
 

@@ -112,7 +112,7 @@ def slopes_between(before, here, after, there, dof):
 
 
 @jit("(f8[:,:,:,::1], f8[:,:,::1])")
-def carry_columns(slopes, blocks):
+def transport_columns(slopes, blocks):
     """Multiply blocks (K, R, D) on the right by the transposes of what `State.slope_to` returns.
 
     In place; `slopes` (K, N, dof, dof) turn pairs of numbers and add parts of the roll, number 5.
@@ -132,7 +132,7 @@ def carry_columns(slopes, blocks):
 
 
 @jit("(f8[:,:,:,::1], f8[:,:,::1])")
-def carry_rows(slopes, blocks):
+def transport_rows(slopes, blocks):
     """Multiply blocks (K, D, C) on the left by what `State.slope_to` returns, in place."""
     dof = slopes.shape[2]
     for k in range(len(slopes)):

@@ -18,7 +18,7 @@ from glissando.calibration.rig.result import Calibration, apply
 from glissando.calibration.rig.rig import RigData
 from glissando.calibration.rig.session_data import rig_data
 from glissando.cli.console import Console
-from glissando.cli.outputs import require_spared, require_writable
+from glissando.cli.outputs import require_replaceable, require_writable
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, chosen_robot
 from glissando.cli.tables import number_table
@@ -79,7 +79,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     if options.out:
         require_writable(options.out.parent)
         begins = ('format = "glissando calibration',)
-        require_spared("--out", options.out, options.session, options.robot, begins=begins)
+        require_replaceable("--out", options.out, options.session, options.robot, begins=begins)
     if options.recording:
         require_new(options.recording, RecordingError)
     given: Path = options.session

@@ -15,16 +15,21 @@ from rich.table import Table
 
 from glissando.cli.check_draws import add_options, check_draws
 from glissando.cli.console import Console
-from glissando.cli.outputs import require_results_folder, require_spared, require_writable, stated
+from glissando.cli.outputs import (
+    require_replaceable,
+    require_results_folder,
+    require_writable,
+    stated,
+)
 from glissando.cli.shared import (
     Commands,
-    Shown,
+    ViewData,
     add_choices,
     add_command,
     of_results,
     posterior_shown,
 )
-from glissando.cli.silent import refuse_silent
+from glissando.cli.unused_options import refuse_unused
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.conformal import block_scores, conformal_tube, inside_tube, require_tube
 from glissando.evaluation.consistency import LEVELS, Consistency, check, check_readings
@@ -100,7 +105,7 @@ def _check(options: argparse.Namespace) -> int:
         require_tube(options.block, options.level)
         if options.store_tube.is_dir():
             raise GlissandoError(f"--store-tube {options.store_tube} is a folder; name a file.")
-        require_spared("--store-tube", options.store_tube, options.target, options.recording)
+        require_replaceable("--store-tube", options.store_tube, options.target, options.recording)
         require_writable(options.store_tube.parent, "--store-tube")
         _require_tubes_own(options.store_tube, options.robot)
     _refuse_silent(options)
@@ -146,18 +151,18 @@ def _refuse_silent(options: argparse.Namespace) -> None:
     """Refuse the options that have no effect on what is checked."""
     if options.draws is not None:
         unjudged = "recording", "store_tube", "level", "block", "leave_out", "allow"
-        refuse_silent(options, "--draws", *unjudged)
+        refuse_unused(options, "--draws", *unjudged)
         if options.target is None:
-            refuse_silent(options, "--draws without a recording", "window", "use", "truth")
+            refuse_unused(options, "--draws without a recording", "window", "use", "truth")
         return
-    refuse_silent(options, "a check without --draws", "prior_factor", "seed")
+    refuse_unused(options, "a check without --draws", "prior_factor", "seed")
     if not options.store_tube:
-        refuse_silent(options, "a check without --store-tube", "level", "block")
+        refuse_unused(options, "a check without --store-tube", "level", "block")
     if options.target is not None and options.target.is_dir():
-        refuse_silent(options, "a recording, which has its own truth", "recording")
+        refuse_unused(options, "a recording, which has its own truth", "recording")
     else:
         again = "a posterior, which is not estimated again"
-        refuse_silent(options, again, "leave_out", "window", "allow")
+        refuse_unused(options, again, "leave_out", "window", "allow")
 
 
 def _tube(
@@ -186,7 +191,7 @@ Here {inside:.1%} of {here} blocks lie wholly inside."""
 
 def _checks(
     options: argparse.Namespace,
-) -> tuple[list[Consistency], list[Errors], Robot, Shown]:
+) -> tuple[list[Consistency], list[Errors], Robot, ViewData]:
     """Every check (none without truth), errors, robot, and what is checked."""
     if options.target.is_file() and options.recording is None:
         raise GlissandoError(

@@ -5,7 +5,7 @@ COMMANDS = {
     "check": ("check", "check whether confidence is true"),
     "robot": ("robot", "write a robot file for a robot of one's own"),
     "learn": ("learn", "learn a robot file from recordings"),
-    "predict": ("predict", "foretell a robot from its tendons"),
+    "predict": ("predict", "predict a robot from its tendons"),
     "replay": ("replay", "estimate a recording as if live"),
     "live": ("live", "estimate sensors live"),
     "simulate": ("simulate", "simulate a recording"),

@@ -21,8 +21,8 @@ from glissando.cli.plan_task import (
 )
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command
-from glissando.cli.silent import refuse_silent
 from glissando.cli.tables import number_table
+from glissando.cli.unused_options import refuse_unused
 from glissando.errors import GlissandoError
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.provenance import write_report
@@ -91,7 +91,7 @@ def _design(options: argparse.Namespace) -> int:
         require_results_folder(options.out)
     require_horizon(options)
     if options.sensor:
-        refuse_silent(options, "--sensor", "strokes", "speeds", "rates", "coils", "bound", "stream")
+        refuse_unused(options, "--sensor", "strokes", "speeds", "rates", "coils", "bound", "stream")
         return place(options)
     _require_sweep(options)
     stage, upper = stage_of(options)
@@ -129,9 +129,9 @@ def _design(options: argparse.Namespace) -> int:
 
 def _require_sweep(options: argparse.Namespace) -> None:
     """Raise for options that a comparison of slides cannot take."""
-    refuse_silent(options, "a design without --sensor", "budget", "places")
+    refuse_unused(options, "a design without --sensor", "budget", "places")
     if options.objective != "chance":
-        refuse_silent(options, f"--objective {options.objective}", "bound")
+        refuse_unused(options, f"--objective {options.objective}", "bound")
     if any(count not in range(1, _COILS + 1) for count in options.coils):
         raise GlissandoError(f"--coils {options.coils}: give whole numbers from 1 to {_COILS}.")
     for speed in options.speeds or ():

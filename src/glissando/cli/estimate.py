@@ -16,8 +16,8 @@ from glissando.cli.console import Console
 from glissando.cli.loads import loads_json, print_loads, scanned, write_contacts
 from glissando.cli.outputs import (
     require_packages,
+    require_replaceable,
     require_results_folder,
-    require_spared,
     stated,
 )
 from glissando.cli.progress import working
@@ -207,7 +207,7 @@ def _checked_query(
     answers, begins = _answers(options), (",".join(QUERY_COLUMNS),)
     if options.out is None:
         require_results_folder(answers.parent)
-    require_spared("--query: the answers,", answers, options.query, begins=begins)
+    require_replaceable("--query: the answers,", answers, options.query, begins=begins)
     return time, arclength
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from glissando.cli.importing import number
-from glissando.cli.outputs import require_spared, require_writable
+from glissando.cli.outputs import require_replaceable, require_writable
 from glissando.cli.shared import Commands, add_command, names, of_results
-from glissando.cli.silent import refuse_silent
+from glissando.cli.unused_options import refuse_unused
 from glissando.errors import GlissandoError
 from glissando.io.foreign import export
 from glissando.io.foreign.trajectories import export_stream
@@ -56,7 +56,7 @@ def add_to(commands: Commands) -> None:
 def _export(options: argparse.Namespace) -> int:
     require_writable(options.out.parent)
     begins = _BEGINS.get(options.out.suffix.lower(), ())
-    require_spared("--out", options.out, options.posterior, begins=begins)
+    require_replaceable("--out", options.out, options.posterior, begins=begins)
     given = [number("--arclength", place) for place in options.arclength or ()]
     places = np.array(given) if given else None
     source = of_results(options.posterior)
@@ -77,7 +77,7 @@ def _export_stream(options: argparse.Namespace) -> int:
             f"{options.posterior} is a recording: say with --stream which of "
             f"{', '.join(recording.streams)} is to be written."
         )
-    refuse_silent(options, "--stream, which is written as it is", "arclength", "rate")
+    refuse_unused(options, "--stream, which is written as it is", "arclength", "rate")
     stream = recording.streams[options.stream]
     if stream.frame != "world":
         raise GlissandoError(f"{stream.name} is in the frame {stream.frame!r}: calibrate it first.")

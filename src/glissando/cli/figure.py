@@ -18,7 +18,7 @@ from glissando.cli.shared import (
     of_results,
     posterior_shown,
 )
-from glissando.cli.silent import refuse_silent
+from glissando.cli.unused_options import refuse_unused
 from glissando.errors import GlissandoError
 from glissando.estimation.contact import scan_contacts
 from glissando.visualization.canvas import INCH, SIDES, require_ending, save_figure
@@ -70,11 +70,11 @@ def _figure(options: argparse.Namespace) -> int:
     if times == []:
         raise GlissandoError("--times names no time; give seconds, separated by commas.")
     if options.kind != "shape":
-        refuse_silent(options, f"the figure {options.kind}", "times")
+        refuse_unused(options, f"the figure {options.kind}", "times")
     if of_results(options.target).is_file():
-        refuse_silent(options, "a posterior, which is drawn whole", "window")
+        refuse_unused(options, "a posterior, which is drawn whole", "window")
         if options.recording is None:
-            refuse_silent(options, "a figure of a posterior without --recording", "robot")
+            refuse_unused(options, "a figure of a posterior without --recording", "robot")
             if options.kind == "error":
                 raise GlissandoError(
                     "A posterior holds no truth: give the folder that does with --recording FOLDER."

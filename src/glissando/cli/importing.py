@@ -9,7 +9,7 @@ from shlex import quote
 
 from glissando.cli.outputs import require_writable, stated
 from glissando.cli.shared import Commands, add_command, chosen_robot, findings_in, names, warn
-from glissando.cli.silent import refuse_silent
+from glissando.cli.unused_options import refuse_unused
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.foreign_estimate import (
     estimate_of_tracks,
@@ -90,7 +90,7 @@ def _import(options: argparse.Namespace) -> int:
     paths = [place for place in arclength.values() if isinstance(place, Path)]
     mappings = _mappings(options.columns, options.files, paths)
     if not any(map(is_bag, options.files)):
-        refuse_silent(options, "files that are no bags", "topic")
+        refuse_unused(options, "files that are no bags", "topic")
     kinds = pairs(options.kind)
     choices = Choices(arclength, options.truth, shift, kinds, options.robot, mappings)
     require_writable(options.out.parent)
@@ -110,9 +110,9 @@ def _import(options: argparse.Namespace) -> int:
 
 def _import_estimate(options: argparse.Namespace) -> int:
     """Write a run that `report` takes, of somebody else's estimate."""
-    refuse_silent(options, "--estimate", "shift", "kind", "topic")
+    refuse_unused(options, "--estimate", "shift", "kind", "topic")
     if not options.arclength:
-        refuse_silent(options, "--estimate without --arclength", "rate", "columns")
+        refuse_unused(options, "--estimate without --arclength", "rate", "columns")
     require_writable(options.out)
     require_new(options.out, GlissandoError)
     recording = load_recording(options.estimate)

@@ -18,7 +18,7 @@ from glissando.calibration.robot.learn import End, Learned, learn
 from glissando.calibration.robot.predictive import Start
 from glissando.cli.learn_report import as_json, print_report, steps_of
 from glissando.cli.learn_tendons import is_of_tendons, learn_from_tendons
-from glissando.cli.outputs import LEARNED, require_spared, require_writable, write_robot
+from glissando.cli.outputs import LEARNED, require_replaceable, require_writable, write_robot
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, names, warn
 from glissando.errors import GlissandoError, RecordingError
@@ -236,7 +236,7 @@ def _require_writable(options: argparse.Namespace) -> None:
         raise GlissandoError(f"--out {out} is no file in a folder that exists; give one.")
     if out.exists() and robot_file(options.robot).resolve() == out.resolve():
         raise GlissandoError(f"--out {out} is the file to start from; give another name.")
-    require_spared("--out", out, *options.recordings, begins=(LEARNED,))
+    require_replaceable("--out", out, *options.recordings, begins=(LEARNED,))
     require_writable(out.absolute().parent)
 
 

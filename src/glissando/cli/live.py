@@ -23,9 +23,9 @@ from glissando.cli.interrupts import until_interrupted
 from glissando.cli.outputs import require_writable
 from glissando.cli.record import add_slide, further_paths, refuse_idle_slide, slide_path
 from glissando.cli.shared import Commands, add_command, warn
-from glissando.cli.silent import refuse_silent
+from glissando.cli.unused_options import refuse_unused
 from glissando.errors import GlissandoError
-from glissando.evaluation.plausibility.watch import Watch
+from glissando.evaluation.plausibility.monitor import PlausibilityMonitor
 from glissando.hardware.capture import Rig, load_rig, simulated_rig
 from glissando.hardware.capture.child_process import blocked_signals, end_with_parent
 from glissando.hardware.live import LiveSession, Placement, Update
@@ -136,7 +136,7 @@ def _run(options: argparse.Namespace, devices: ExitStack) -> int:
         patience=options.patience,
     )
     status, now = _Status(session), 0.0
-    watch = Watch(robot, devices.enter_context(_beside()))
+    watch = PlausibilityMonitor(robot, devices.enter_context(_beside()))
     with until_interrupted(), ExitStack() as stack:
         view = browser_view(robot.length, stack) if options.view else None
         stack.enter_context(status)
@@ -159,7 +159,7 @@ def _refuse_idle(options: argparse.Namespace, rigs: Sequence[Rig]) -> None:
     without = "--replan" if options.replan else "sources without a stage"
     refuse_idle_slide(options, without, moves=moves)
     if all(_is_rig(text) or Path(text).is_dir() for text in options.source):
-        refuse_silent(options, "sources that say where their sensors are", "at")
+        refuse_unused(options, "sources that say where their sensors are", "at")
 
 
 @contextmanager

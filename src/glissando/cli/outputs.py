@@ -25,7 +25,7 @@ PAGE = ("<!doctype html", "<!DOCTYPE html")
 LEARNED = "# Learned from recordings by "
 
 
-def require_spared(
+def require_replaceable(
     option: str, out: Path, *inputs: str | Path | None, begins: Sequence[str] = ()
 ) -> None:
     """Make sure, before any work is done, that a file to write replaces nobody's data.

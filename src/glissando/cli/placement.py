@@ -13,8 +13,8 @@ from glissando.cli.console import Console
 from glissando.cli.outputs import stated
 from glissando.cli.plan_task import stage_of
 from glissando.cli.progress import working
-from glissando.cli.silent import refuse_silent
 from glissando.cli.tables import number_table
+from glissando.cli.unused_options import refuse_unused
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import renewed_folder
@@ -37,7 +37,7 @@ def place(options: argparse.Namespace) -> int:
     if options.objective != "trace":
         raise GlissandoError(f"Sensors are placed by trace, not by {options.objective}.")
     if all(text.partition("=")[0] != SLIDE for text in options.sensor):
-        refuse_silent(options, f"sensors without one of {SLIDE}=COST", "limits")
+        refuse_unused(options, f"sensors without one of {SLIDE}=COST", "limits")
     robot = load_robot(options.robot)
     candidates = [each for text in options.sensor for each in _candidates(robot, text, options)]
     least = min(each.cost for each in candidates)

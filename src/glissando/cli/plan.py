@@ -19,8 +19,8 @@ from glissando.cli.plan_scene import plan_scene
 from glissando.cli.plan_task import ROBOT, add_task, require_horizon, stage_of, stream_of
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command
-from glissando.cli.silent import refuse_silent
 from glissando.cli.tables import number_table
+from glissando.cli.unused_options import refuse_unused
 from glissando.errors import GlissandoError, PlanWarning
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
@@ -115,11 +115,11 @@ def _plan(options: argparse.Namespace) -> int:
     if options.scene:
         if options.zone:
             raise GlissandoError("--scene and --zone exclude each other; give [[zones]] in it.")
-        refuse_silent(options, "--scene", *_OF_ZONES)
+        refuse_unused(options, "--scene", *_OF_ZONES)
         return plan_scene(options)
-    refuse_silent(options, "a plan without --scene", "figure")
+    refuse_unused(options, "a plan without --scene", "figure")
     if options.objective != "chance":
-        refuse_silent(options, f"--objective {options.objective}", "bound")
+        refuse_unused(options, f"--objective {options.objective}", "bound")
     if not options.zone:
         raise GlissandoError("Nothing is to be known: give --zone S0:S1, or --scene FILE.")
     require_horizon(options)

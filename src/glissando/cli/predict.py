@@ -25,7 +25,7 @@ from glissando.io.tendon_commands import read_tendon_commands
 from glissando.model.tendons.tendons import Tendons
 
 _HELP = """\
-Foretell pose, strain and velocity along a robot, with covariance, from the commands of its tendons.
+Predict pose, strain and velocity along a robot, with covariance, from the commands of its tendons.
 
 The robot file has [tendons] and a mechanical prior; glissando learn finds their numbers. Commands
 are a CSV file: time, and one column a tendon, named as [tendons] names says, or the stream of
@@ -34,9 +34,9 @@ columns whose names end in _mm.
 """
 _EXAMPLES = """\
 examples:
-  glissando predict --robot learned.toml --tendons commands.csv --out foretold
-  glissando predict --robot learned.toml --tendons commands.csv --arclength 0.1,0.18 --out foretold
-  glissando predict --robot learned.toml --tendons commands.csv --stream tip --out foretold
+  glissando predict --robot learned.toml --tendons commands.csv --out predicted
+  glissando predict --robot learned.toml --tendons commands.csv --arclength 0.1,0.18 --out predicted
+  glissando predict --robot learned.toml --tendons commands.csv --stream tip --out predicted
 
 DIR/query.csv has a row for each time and arclength, with the columns of glissando estimate --query,
 in the robot's frame. With --stream DIR/marker_NAME.csv has what the tracker of a marker at the tip
@@ -60,7 +60,7 @@ def add_to(commands: Commands) -> None:
     add("--robot", required=True, metavar="FILE|NAME", help="robot file with [tendons]")
     add("--tendons", required=True, type=Path, metavar="FILE", help="CSV of the commands")
     add("--arclength", type=names, metavar="M,…", help="where (default: the robot's nodes)")
-    add("--stream", metavar="NAME", help="marker at the tip whose readings to foretell, too")
+    add("--stream", metavar="NAME", help="marker at the tip whose readings to predict, too")
     add("--out", required=True, type=Path, metavar="DIR", help="folder to write query.csv into")
 
 
@@ -77,7 +77,7 @@ def _doubts(time: Array, displacement: Array, tendons: Tendons) -> Iterator[str]
     if most > _BEYOND * tendons.learned_to:
         yield (
             f"Displacements reach {1e3 * most:.3g} mm, and {1e3 * tendons.learned_to:.3g} mm where "
-            f"this robot was learned: what is foretold beyond is less sure than it says. If they "
+            f"this robot was learned: what is predicted beyond is less sure than it says. If they "
             f"are in another unit, give metres, or millimetres where a column's name ends in _mm."
         )
     if 0.0 < most < std:

@@ -18,8 +18,8 @@ from rich.table import Table
 from glissando.cli.outputs import require_writable
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, findings_in, warn
-from glissando.cli.silent import refuse_silent
 from glissando.cli.simulate import add_channel
+from glissando.cli.unused_options import refuse_unused
 from glissando.errors import DeviceError, GlissandoError
 from glissando.hardware.capture import (
     FurtherStage,
@@ -103,11 +103,11 @@ def _record(options: argparse.Namespace) -> int:
         raise GlissandoError("Give --setup FILE for a real rig, or --simulate for none.")
     real = load_rig(options.setup) if options.setup else None
     if real:
-        refuse_silent(options, "--setup", "robot", "shape", "seed", "faults", "channel")
+        refuse_unused(options, "--setup", "robot", "shape", "seed", "faults", "channel")
     moves = real is None or bool(real.stage or real.further)
     refuse_idle_slide(options, "a rig without a stage", moves=moves)
     if moves and options.slide not in ("hold", "calibrate"):
-        refuse_silent(options, f"--slide {options.slide}", "duration")
+        refuse_unused(options, f"--slide {options.slide}", "duration")
     require_writable(options.out.parent)
     require_new(options.out, GlissandoError)
     if options.out.exists():
@@ -155,9 +155,9 @@ def refuse_idle_slide(options: argparse.Namespace, without: str, *, moves: bool)
         GlissandoError: One is given.
     """
     if not moves:
-        refuse_silent(options, without, "slide", *_OF_A_PATH)
+        refuse_unused(options, without, "slide", *_OF_A_PATH)
     else:
-        refuse_silent(options, f"--slide {options.slide}", *_IDLE.get(options.slide, _OF_A_PATH))
+        refuse_unused(options, f"--slide {options.slide}", *_IDLE.get(options.slide, _OF_A_PATH))
 
 
 def further_paths(options: argparse.Namespace, rig: Rig) -> dict[str, SlidePath]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from glissando.cli.outputs import PAGE, require_spared, require_writable
+from glissando.cli.outputs import PAGE, require_replaceable, require_writable
 from glissando.cli.shared import Commands, add_command
 from glissando.io.atomic_file import write_text
 from glissando.visualization.page.comparison import comparison, written_runs
@@ -39,7 +39,7 @@ def add_to(commands: Commands) -> None:
 
 def _report(options: argparse.Namespace) -> int:
     require_writable(options.out.parent)
-    require_spared("--out", options.out, *options.runs, begins=PAGE)
+    require_replaceable("--out", options.out, *options.runs, begins=PAGE)
     write_text(options.out, comparison(written_runs(options.runs)))
     print(f"Wrote {options.out}; open it in a browser.")
     return 0

@@ -12,7 +12,7 @@ from typing import Any
 
 from glissando.cli.main import build_parser
 from glissando.cli.shared import Commands, add_command
-from glissando.cli.silent import refuse_silent
+from glissando.cli.unused_options import refuse_unused
 from glissando.errors import GlissandoError
 from glissando.evaluation.reproduction import (
     SAME,
@@ -127,9 +127,9 @@ def _request(words: list[Any], options: argparse.Namespace) -> argparse.Namespac
             setattr(request, name, value)
     folders = [name for name in ("recording", "target", "estimate") if getattr(request, name, None)]
     if not folders:
-        refuse_silent(options, "a report that names no recording", "recording")
+        refuse_unused(options, "a report that names no recording", "recording")
     if not hasattr(request, "robot"):
-        refuse_silent(options, f"a report of {words[0]}", "robot")
+        refuse_unused(options, f"a report of {words[0]}", "robot")
     if folders and options.recording:
         setattr(request, folders[0], options.recording)
     if folders and not getattr(request, folders[0]).exists():

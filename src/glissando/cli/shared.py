@@ -13,7 +13,7 @@ from typing import TypeAlias
 from glissando.cli.commands import COMMANDS
 from glissando.cli.pairing import other_readings, require_pair
 from glissando.cli.progress import Descent, working
-from glissando.cli.silent import refuse_silent
+from glissando.cli.unused_options import refuse_unused
 from glissando.errors import (
     EstimateWarning,
     GlissandoError,
@@ -182,7 +182,7 @@ def findings_in(folder: Path) -> list[Finding]:
 
 
 @dataclass(frozen=True)
-class Shown:
+class ViewData:
     """What a page or a figure shows.
 
     Attributes:
@@ -208,7 +208,7 @@ def of_results(target: Path) -> Path:
     return inside if inside.is_file() and not (target / "recording.toml").exists() else target
 
 
-def posterior_shown(options: argparse.Namespace) -> Shown:
+def posterior_shown(options: argparse.Namespace) -> ViewData:
     """The posterior of `options.target`, which is one, its folder, or a recording to estimate.
 
     Raises:
@@ -216,27 +216,27 @@ def posterior_shown(options: argparse.Namespace) -> Shown:
     """
     target = of_results(options.target)
     if target.is_dir():
-        refuse_silent(options, "a recording, which has its own", "recording")
+        refuse_unused(options, "a recording, which has its own", "recording")
         recording = load_recording(target)
         robot = chosen_robot(recording, options.robot)
         run, complaint = estimate_watched(recording, robot, options)
-        return Shown(run.posterior, run.readings, run.truth, recording.name, complaint, robot)
+        return ViewData(run.posterior, run.readings, run.truth, recording.name, complaint, robot)
     if not target.is_file():
         raise GlissandoError(
             f"There is no recording folder or posterior {str(target)!r}; give one."
         )
-    refuse_silent(options, "a posterior, which is not estimated again", "allow")
+    refuse_unused(options, "a posterior, which is not estimated again", "allow")
     posterior = load_posterior(target)
     if options.recording is None:
-        refuse_silent(options, "a posterior without --recording", "use", "truth")
+        refuse_unused(options, "a posterior without --recording", "use", "truth")
         known = load_robot(options.robot) if options.robot else None
-        return Shown(posterior, [], [], options.target.resolve().name, "", known)
+        return ViewData(posterior, [], [], options.target.resolve().name, "", known)
     recording = load_recording(options.recording)
     if others := other_readings(target, options.recording):
         print(f"glissando: warning: {others}", file=sys.stderr)
     robot = chosen_robot(recording, options.robot)
     streams = streams_of(posterior, recording, robot, options)
-    return Shown(posterior, *streams, recording.name, "", robot)
+    return ViewData(posterior, *streams, recording.name, "", robot)
 
 
 def _start(options: argparse.Namespace, recording: Recording, robot: Robot) -> Posterior | None:

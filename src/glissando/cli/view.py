@@ -6,10 +6,10 @@ import argparse
 import sys
 from pathlib import Path
 
-from glissando.cli.outputs import PAGE, require_spared, require_writable
+from glissando.cli.outputs import PAGE, require_replaceable, require_writable
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_choices, add_command, posterior_shown
-from glissando.cli.silent import refuse_silent
+from glissando.cli.unused_options import refuse_unused
 from glissando.io.atomic_file import write_text
 from glissando.visualization.page import page, scene_of, subtitle
 from glissando.visualization.page.live import play
@@ -48,12 +48,12 @@ def add_to(commands: Commands) -> None:
 
 def _view(options: argparse.Namespace) -> int:
     if options.live:
-        refuse_silent(options, "--live, which writes no page", "html")
+        refuse_unused(options, "--live, which writes no page", "html")
     else:
-        refuse_silent(options, "a view without --live", "port")
+        refuse_unused(options, "a view without --live", "port")
         require_writable(options.html.parent)
         inputs = options.target, options.recording, options.robot
-        require_spared("--html", options.html, *inputs, begins=PAGE)
+        require_replaceable("--html", options.html, *inputs, begins=PAGE)
     shown = posterior_shown(options)
     posterior = shown.posterior
     window = tuple(options.window) if options.window else None

@@ -16,7 +16,6 @@ from glissando.errors import (
     NotConvergedWarning,
     UnobservableError,
 )
-from glissando.estimation.carried import carried
 from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
 from glissando.estimation.given import require_batch, require_gate
@@ -24,9 +23,10 @@ from glissando.estimation.misfit import breakdown, doubt, worst_readings
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.place_evidence import by_evidence
 from glissando.estimation.posterior import Posterior
-from glissando.estimation.several_starts import Sought, Start, best_end, start_at
+from glissando.estimation.several_starts import Start, StartProblem, best_end, start_at
 from glissando.estimation.solve_report import SolveReport
 from glissando.estimation.starting_point import starting_point, with_parameters
+from glissando.estimation.transported import transported
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior, load_kernels
@@ -195,7 +195,7 @@ class _Problem:
             return part.best_end(every, (initial, ()))
 
         readings = self.selected(used)
-        sought = Sought(self.prior, self.grid, readings, self.options, piece)
+        sought = StartProblem(self.prior, self.grid, readings, self.options, piece)
         return best_end(sought, start, partial(self.minimum, used))
 
     def minimum(
@@ -222,7 +222,7 @@ class _Problem:
         evidence = _log_evidence(solution)  # (22)
         with one_thread(), self.clock("covariance"):
             marginals = solution.cholesky.marginals(consume=True)  # (21)
-            marginals = carried(solution.equations.state, solution.state, marginals)  # (35)
+            marginals = transported(solution.equations.state, solution.state, marginals)  # (35)
         return Posterior(
             self.prior,
             self.grid,

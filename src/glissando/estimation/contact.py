@@ -15,7 +15,6 @@ from scipy.special import logsumexp
 
 from glissando.errors import GlissandoError, OutsideGridError, UnobservableError
 from glissando.estimation.batch import estimate
-from glissando.estimation.carried import has_rolled
 from glissando.estimation.contact_evidence import (
     RAREST,
     ForceEvidence,
@@ -27,6 +26,7 @@ from glissando.estimation.contact_force import force_at, knows_forces, nearest_n
 from glissando.estimation.contact_wrench import Wrench, wrench_at
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
+from glissando.estimation.transported import has_rolled
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index, with_places
 from glissando.model.priors.mechanical.prior import MechanicalPrior

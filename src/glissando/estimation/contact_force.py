@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from glissando.estimation.carried import carried
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
+from glissando.estimation.transported import transported
 from glissando.geometry.se3 import Array
 from glissando.model.grid import SAME, Index
 from glissando.model.priors.mechanical.prior import MechanicalPrior
@@ -64,7 +64,7 @@ def with_force(posterior: Posterior, node: int, variance: Array) -> Posterior:
     start = posterior.linearization_point
     step = cholesky.solve(rhs)[:, :count].reshape(*start.pose.shape[:2], start.dof)
     state = start.retract(step)
-    marginals = carried(start, state, cholesky.marginals())  # (35)
+    marginals = transported(start, state, cholesky.marginals())  # (35)
     return replace(posterior, prior=prior, state=state, system=system, marginals=marginals)
 
 

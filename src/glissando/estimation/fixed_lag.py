@@ -21,7 +21,6 @@ from glissando.estimation.channels import place_in_channel
 from glissando.estimation.contact import ContactScan, force_variance, scan_of, with_forces
 from glissando.estimation.contact_evidence import ErrorPrior, error_priors, force_evidence
 from glissando.estimation.delays import delayed
-from glissando.estimation.foretold import foretold
 from glissando.estimation.given import (
     arclength_nodes,
     require_gate,
@@ -30,12 +29,13 @@ from glissando.estimation.given import (
     require_window,
 )
 from glissando.estimation.loads import require_mechanics
-from glissando.estimation.loop_doubt import LoopDoubt
+from glissando.estimation.online_monitor import OnlineMonitor
 from glissando.estimation.posterior import Posterior
+from glissando.estimation.predicted import predicted
 from glissando.estimation.shape_spread import ShapeSpread, spread_between
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.estimation.state_estimate import StateEstimate, state_at
-from glissando.estimation.window_parameters import LostError
+from glissando.estimation.window_parameters import NotLinearError
 from glissando.estimation.window_steps import WindowSteps
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, points_of
@@ -91,7 +91,7 @@ class FixedLagSmoother:
         self._late, others = delayed(sensor_parameters)
         self.lag = window = max(window, _DATED) if self._late else window
         self._steps = WindowSteps(self._window, window, gate)
-        self._doubt = LoopDoubt(prior, self.arclength)
+        self._monitor = OnlineMonitor(prior, self.arclength)
         self._errors: ErrorPrior | None = None  # of the window's first node, for contacts
         self._undelayed: WindowSteps | None = None  # the motion by which delays are known
         self._shown = prior.fixes_base
@@ -116,7 +116,7 @@ class FixedLagSmoother:
         """
         require_stream(readings)
         readings = corrected(readings, self._known)
-        self._doubt.hear(readings)
+        self._monitor.check_places(readings)
         if self._undelayed is not None and readings.name not in self._late:
             self._undelayed.take(readings)
             self._shown |= readings.fixes_base and len(readings) > 0
@@ -144,7 +144,7 @@ class FixedLagSmoother:
                 if self._shown:
                     self._undelayed.advance(time)
             self._steps.advance(time)
-            self._doubt.look(self._window.nodes.newest[0], self._steps.restarts)
+            self._monitor.check_state(self._window.nodes.newest[0], self._steps.restarts)
             if self._steps.behind:
                 return self.at(self.arclength, time)
             return self._steps.newest()
@@ -225,8 +225,8 @@ class FixedLagSmoother:
         begins, newest = float(window.nodes.time[0]), float(self._window.nodes.time[-1])
         late = when >= begins
         if late.all() or begins <= newest:
-            return foretold(window, place, when, newest)
-        ahead = foretold(window, place[late], when[late], newest)
+            return predicted(window, place, when, newest)
+        ahead = predicted(window, place[late], when[late], newest)
         return _merged(late, self.at(place[~late], when[~late]), ahead)
 
     def placed(self, readings: Readings) -> Readings:
@@ -252,7 +252,7 @@ class FixedLagSmoother:
             self._window.relinearize(0)
             self._window.solve(0, self._steps.update.readings(0))
             moved = float(np.abs(self._window.nodes.step).max())
-        with suppress(LostError):
+        with suppress(NotLinearError):
             self._window.settle()
         return rounds
 
@@ -300,7 +300,7 @@ class FixedLagSmoother:
     @property
     def fits(self) -> bool:
         """Whether innovations of late are as small as chance allows, the robot within its reach."""
-        return self._steps.gate.fits and not self._doubt.beyond
+        return self._steps.gate.fits and not self._monitor.beyond
 
 
 def _merged(late: NDArray[np.bool_], early: StateEstimate, other: StateEstimate) -> StateEstimate:

@@ -15,7 +15,7 @@ from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.outliers import CHANCE
 from glissando.estimation.reading_buffer import ReadingBuffer
 from glissando.estimation.sliding_window import SlidingWindow
-from glissando.estimation.window_parameters import LostError
+from glissando.estimation.window_parameters import NotLinearError
 from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import SolverOptions
 
@@ -90,7 +90,7 @@ class GatedUpdate:
             linear: Whether belief is narrow enough to refuse a reading by.
 
         Raises:
-            LostError: New readings contradict a belief that cannot refuse them.
+            NotLinearError: New readings contradict a belief that cannot refuse them.
         """
         self._spare = min(self._spare + 1, _SAVED)
         window, before = self._window, self._window.points
@@ -107,12 +107,12 @@ class GatedUpdate:
                     raise
                 broke = error
             if not linear:
-                raise LostError
+                raise NotLinearError
             window.points = before
             self._solve(first, readings, 1)
             wrong = self._most_wrong(fresh, first_look=False) or wrong
             if wrong is None:
-                raise broke or LostError
+                raise broke or NotLinearError
             self._refuse(*wrong)
             fresh[wrong[0]] -= 1
             window.points = before

@@ -19,13 +19,13 @@ from glissando.errors import (
     UnobservableError,
 )
 from glissando.geometry.se3 import Array
+from glissando.model.field_checks import is_number
 from glissando.model.grid import SAME, Grid
 from glissando.model.mechanics import Mechanics, implausible
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
-from glissando.model.stated import is_number
 from glissando.solver.gauss_newton import SolverOptions
 
 _FAR = 5.0  # standard deviations of an offset

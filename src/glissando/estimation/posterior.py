@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
-from glissando.estimation.carried import carried
 from glissando.estimation.loads import (
     WrenchEstimate,
     internal_wrench,
@@ -20,18 +19,19 @@ from glissando.estimation.loads import (
 )
 from glissando.estimation.solve_report import SolveReport
 from glissando.estimation.state_estimate import StateEstimate, spread, state_at
+from glissando.estimation.transported import transported
 from glissando.geometry.se3 import Array
-from glissando.model.brief import Brief
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameter_process import HELD, EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.short_repr import ShortRepr
 from glissando.model.state import POSE, State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals, factor
 
 
 @dataclass(frozen=True)
-class Posterior(Brief):
+class Posterior(ShortRepr):
     """Gaussian posterior over the whole motion, continuous in arclength and time.
 
     `state` is the mean at the nodes, `system` the information matrix of the nodes in time order,
@@ -66,7 +66,7 @@ class Posterior(Brief):
         held[:, columns] = HELD
         with one_thread():
             marginals = factor(self.system.add_to_diagonal(held)).marginals(consume=True)
-            return carried(self.linearization_point, self.state, marginals)
+            return transported(self.linearization_point, self.state, marginals)
 
     @property
     def linearization_point(self) -> State:
@@ -117,8 +117,8 @@ class Posterior(Brief):
         self.grid.require(s.ravel(), t.ravel(), "Query")
         k = np.abs(t.ravel()[:, None] - self.grid.time).argmin(axis=1)
         prior, grid, state = self.prior, self.grid, self.state
-        carry = partial(spread, grid, self.marginals)
-        load = point_loads(prior, grid, state, carry, s.ravel(), k, frame)
+        transport = partial(spread, grid, self.marginals)
+        load = point_loads(prior, grid, state, transport, s.ravel(), k, frame)
         wrench, cov = load.wrench.reshape(*s.shape, 6), load.cov.reshape(*s.shape, 6, 6)
         return WrenchEstimate(wrench, cov, frame)
 

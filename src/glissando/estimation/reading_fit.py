@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from glissando.estimation.channels import placed
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
-from glissando.model.brief import Brief
 from glissando.model.factors import Factors
 from glissando.model.sensors.readings import Readings
+from glissando.model.short_repr import ShortRepr
 from glissando.solver.block_tridiagonal import Marginals
 from glissando.solver.located_readings import locate
 from glissando.solver.measurement_factors import measurement_factors
@@ -21,7 +21,7 @@ _CHUNK = 200  # readings at a time, to bound memory
 
 
 @dataclass(frozen=True)
-class ReadingFit(Brief):
+class ReadingFit(ShortRepr):
     """Residuals of M readings, in units of what each is off by itself.
 
     Attributes:

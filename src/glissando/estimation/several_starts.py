@@ -48,7 +48,7 @@ class SolvePiece(Protocol):
 
 
 @dataclass(frozen=True)
-class Sought:
+class StartProblem:
     """What is estimated.
 
     Attributes:
@@ -66,10 +66,10 @@ class Sought:
     piece: SolvePiece
 
 
-_Elsewhere = Callable[[Sought, Solution | None, Start, Solve], Solution | None]
+_Elsewhere = Callable[[StartProblem, Solution | None, Start, Solve], Solution | None]
 
 
-def best_end(sought: Sought, start: Start, solve: Solve) -> Solution:
+def best_end(sought: StartProblem, start: Start, solve: Solve) -> Solution:
     """Solve from a start, and from others as well where that turns out to be far off.
 
     Those are rest and, of a few moments that it does not explain, bent shapes; of more, what pieces
@@ -97,7 +97,7 @@ def best_end(sought: Sought, start: Start, solve: Solve) -> Solution:
     return replace(end, iterations=sum(taken))
 
 
-def _best_end(sought: Sought, start: Start, solve: Solve) -> Solution:
+def _best_end(sought: StartProblem, start: Start, solve: Solve) -> Solution:
     prior, elsewhere = sought.prior, _elsewhere(sought)
     try:
         end, elsewhere = _patient(sought, start, solve, elsewhere)
@@ -115,7 +115,7 @@ def _best_end(sought: Sought, start: Start, solve: Solve) -> Solution:
 
 
 def _patient(
-    sought: Sought, start: Start, solve: Solve, elsewhere: _Elsewhere | None
+    sought: StartProblem, start: Start, solve: Solve, elsewhere: _Elsewhere | None
 ) -> tuple[Solution, _Elsewhere | None]:
     """Where a search ends, or others if it is still far from any minimum after long.
 
@@ -141,7 +141,7 @@ def start_at(solution: Solution) -> Start:
     return solution.state, solution.located.parameters.by_name()
 
 
-def _elsewhere(sought: Sought) -> _Elsewhere | None:
+def _elsewhere(sought: StartProblem) -> _Elsewhere | None:
     """How to start elsewhere, if that is worth it; pieces of a rod's motion cost too much."""
     count, rod = sought.grid.time.size, isinstance(sought.prior, MechanicalPrior)
     if sought.options.max_iterations < _ROUGH_ITERATIONS or (rod and count > _OF_ROD):
@@ -149,7 +149,9 @@ def _elsewhere(sought: Sought) -> _Elsewhere | None:
     return _from_bent if rod or count <= _MOMENTS else _from_pieces
 
 
-def _from_bent(sought: Sought, end: Solution | None, start: Start, solve: Solve) -> Solution | None:
+def _from_bent(
+    sought: StartProblem, end: Solution | None, start: Start, solve: Solve
+) -> Solution | None:
     """Solve roughly from bent shapes until one will do, and on from the best if it is better.
 
     None where all break down, as the start did if there is no `end`.
@@ -171,7 +173,7 @@ def _from_bent(sought: Sought, end: Solution | None, start: Start, solve: Solve)
 
 
 def _from_pieces(
-    sought: Sought, end: Solution | None, start: Start, solve: Solve
+    sought: StartProblem, end: Solution | None, start: Start, solve: Solve
 ) -> Solution | None:
     """Solve from estimates of a few moments, each from where the one before leads.
 

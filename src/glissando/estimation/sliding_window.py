@@ -17,7 +17,6 @@ import numpy as np
 from glissando._kernels import normal_equations as kernels
 from glissando._kernels import window as window_kernels
 from glissando._kernels.arrays import whole
-from glissando.estimation.carried import carried, carry, has_rolled
 from glissando.estimation.channels import place_in_channel
 from glissando.estimation.delay_dating import DelayDating
 from glissando.estimation.held_readings import HeldReadings
@@ -29,6 +28,7 @@ from glissando.estimation.linearized_readings import (
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.solve_report import SolveReport
 from glissando.estimation.state_estimate import StateEstimate
+from glissando.estimation.transported import has_rolled, transport, transported
 from glissando.estimation.window_nodes import Nodes
 from glissando.estimation.window_parameters import WindowParameters
 from glissando.estimation.window_system import WindowSystem
@@ -106,7 +106,7 @@ class SlidingWindow:
         Of what readings tell of delays only a share counts from now on.
 
         Raises:
-            LostError: A delay is further off than what is stated of it allows.
+            NotLinearError: A delay is further off than what is stated of it allows.
         """
         if not self._process.size:
             return
@@ -320,7 +320,7 @@ class SlidingWindow:
         start, end = self.nodes.state.take(-1), self.nodes.newest[0]
         cov = self._root.T @ self._root
         if has_rolled(start, end):
-            carry(start.slope_to(end)[None], cov[None])
+            transport(start.slope_to(end)[None], cov[None])
         return end, cov
 
     def newest_step(self) -> tuple[Array, Array]:
@@ -332,7 +332,7 @@ class SlidingWindow:
         layout, (start, end) = self.layout, (self.nodes.state.take(-1), self.nodes.newest[0])
         cov = window_kernels.node_covariances(self._root, layout.nodes, layout.dof, DOF)
         if has_rolled(start, end):
-            carry(whole(start.slope_to(end)[:, None, :DOF, :DOF]), cov)
+            transport(whole(start.slope_to(end)[:, None, :DOF, :DOF]), cov)
         return StateEstimate(end.pose, end.strain, end.velocity, cov)
 
     def posterior(self) -> Posterior:
@@ -343,5 +343,5 @@ class SlidingWindow:
         pairs = zip(self._process.each, self._process.columns, strict=True)
         parameters = [(p, values[:, at]) for p, at in pairs]
         start = self.nodes.state
-        known = system, carried(start, state, self._system.cholesky.marginals())
+        known = system, transported(start, state, self._system.cholesky.marginals())
         return Posterior(self.prior, self.grid(), state, *known, report, parameters, (start, start))

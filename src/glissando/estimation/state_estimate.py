@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.model.brief import Brief
 from glissando.model.grid import Grid, Index, points_of
 from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
+from glissando.model.short_repr import ShortRepr
 from glissando.model.state import DOF, State
 from glissando.solver.block_tridiagonal import Marginals
 
@@ -22,7 +22,7 @@ _UNMOVED = np.eye(4)
 
 
 @dataclass(frozen=True)
-class StateEstimate(Brief):
+class StateEstimate(ShortRepr):
     """State and covariance at queried points, with the leading shape of the query.
 
     `pose` (…, 4, 4), `strain` (…, 6), `velocity` (…, 6) and `cov` (…, 18, 18) of

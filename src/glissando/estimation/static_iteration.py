@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from glissando.estimation.carried import has_rolled
 from glissando.estimation.misfit import implausible
+from glissando.estimation.transported import has_rolled
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior

@@ -1,4 +1,4 @@
-"""What tendons alone foretell: shape, strain and their covariance along the robot, and the tip."""
+"""What tendons alone predict: shape, strain and their covariance along the robot, and the tip."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def warn_of_weight(robot: Robot, std: float) -> None:
     if sag > _NOTICED * std:
         warnings.warn(
             f"The weight in [mechanics] of robot {robot.name!r}, which tendons alone do not "
-            f"foretell, moves it by {1e3 * sag:.2g} mm when no tendon pulls; positions are claimed "
+            f"predict, moves it by {1e3 * sag:.2g} mm when no tendon pulls; positions are claimed "
             f"to {1e3 * std:.2g} mm. Read a sensor and estimate, or state no gravity.",
             FalseConfidenceWarning,
             stacklevel=3,

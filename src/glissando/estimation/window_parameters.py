@@ -14,7 +14,7 @@ _FAR = 3.0  # standard deviations by which a delay may be longer than it is esti
 _LOST = 6.0  # stated standard deviations that no delay is off
 
 
-class LostError(Exception):
+class NotLinearError(Exception):
     """What is read is beyond what a linear belief allows."""
 
 
@@ -38,13 +38,13 @@ class WindowParameters:
         """Note what is known at a time: values (E,) and covariance (E, E).
 
         Raises:
-            LostError: A delay is further off than what is stated of it allows, as steps in error
-                go; what is stated holds again.
+            NotLinearError: A delay is further off than what is stated of it allows, as steps in
+                error go; what is stated holds again.
         """
         off = np.abs(values - self.process.mean) > _LOST * self.process.std
         if off[self.process.delay_columns].any():
             self.forget()
-            raise LostError
+            raise NotLinearError
         self._settled = time, values, cov
 
     def begin(self, time: float) -> tuple[Array, Array]:

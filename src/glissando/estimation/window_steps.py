@@ -1,6 +1,6 @@
-"""A sliding window on its way: node after node with what was read, through silence and restarts.
+"""A sliding window on its way: node after node with what was read, through pauses and restarts.
 
-While nothing was read there is but one node, at rest. In silence nodes lie closer than the times
+While nothing was read there is but one node, at rest. In a pause nodes lie closer than the times
 asked for, and belief grows until a robot at rest is known as well; from then on it stays that.
 """
 
@@ -19,11 +19,11 @@ from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.misfit import breakdown, far_off
 from glissando.estimation.reading_buffer import ReadingBuffer
+from glissando.estimation.reading_pause import ReadingPause
 from glissando.estimation.shape_spread import ShapeSpread, shape_covariances, tip_spread
-from glissando.estimation.silence import Silence
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.estimation.state_estimate import StateEstimate
-from glissando.estimation.window_parameters import LostError
+from glissando.estimation.window_parameters import NotLinearError
 from glissando.model.grid import Grid
 from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
@@ -32,7 +32,7 @@ _MERGED = 0.01  # of the longest interval: a node as close to the newest one wou
 _BACK = 2.0  # s before the oldest node: a clock that was set, not a reading that came late
 _ROUNDED = 5e-4  # of the least step, by which times round: less than the prior allows it
 _MOST = 50  # nodes of a window that reaches back further than its lag
-_BREAKDOWNS = (np.linalg.LinAlgError, UnobservableError, LostError)  # of a solution
+_BREAKDOWNS = (np.linalg.LinAlgError, UnobservableError, NotLinearError)  # of a solution
 _CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
 
 
@@ -59,7 +59,7 @@ class WindowSteps:
         self._least = (1.0 + _ROUNDED) * window.prior.least_step(window.arclength)
         self._asked = -np.inf
         self._started = self._explained = False
-        self._oldest, self._silence = -np.inf, Silence()
+        self._oldest, self._pause = -np.inf, ReadingPause()
 
     @property
     def time(self) -> float | None:
@@ -86,7 +86,7 @@ class WindowSteps:
     def behind(self) -> bool:
         """Whether the newest node is older than what was asked for, as nodes would be too close."""
         newest = self.time
-        return newest is not None and self._asked - newest > _MERGED * self._silence.step
+        return newest is not None and self._asked - newest > _MERGED * self._pause.step
 
     def ahead(self, time: float) -> SlidingWindow:
         """The window, or where a time is ahead of it a copy with more nodes.
@@ -105,11 +105,11 @@ class WindowSteps:
         time = max(time, newest + max(least, self._least))
         with one_thread():
             while newest < time:
-                newest = self._silence.next_in_void(newest, time)
+                newest = self._pause.next_in_void(newest, time)
                 window.append(newest)
                 first = max(0, len(window.nodes) - 2)
                 window.solve(first, self.buffer.since(window.since(first)))
-                if newest < time and self._silence.is_at_rest(self._spread(window)):
+                if newest < time and self._pause.is_at_rest(self._spread(window)):
                     _begin_at_rest(window, newest)
                     break
         return window
@@ -126,16 +126,16 @@ class WindowSteps:
             )
         on = [*([] if before is None else [before]), *nodes.tolist()]
         longest = max((b - a for a, b in pairwise(on)), default=0.0)
-        close = _MERGED * min(longest, self._silence.step)  # however long a silence lasted
+        close = _MERGED * min(longest, self._pause.step)  # however long a pause lasted
         close = max(close, self._least)
         return on[-1] if time - on[-1] < close else time
 
     def _next_node(self, time: float) -> float:
-        """The next node on the way to a time: that time, but in silence nodes lie closer."""
+        """The next node on the way to a time: that time, but in a pause nodes lie closer."""
         newest = self.time
         if newest is None or self.resting:
             return time
-        stop = self._silence.next_node(newest, time, self.buffer)
+        stop = self._pause.next_node(newest, time, self.buffer)
         return stop if time - stop >= self._least else time
 
     def _step(self, time: float) -> float:
@@ -153,14 +153,14 @@ class WindowSteps:
                 self.window.settle()
                 self._explained |= fresh.total() > 0
             except _BREAKDOWNS as error:
-                since = min(earliest, newest - self._silence.step)
+                since = min(earliest, newest - self._pause.step)
                 self._recover(error, since, fresh, restart=self._started and not starts)
-                with suppress(LostError):
+                with suppress(NotLinearError):
                     self.window.settle()
             if fresh.total():
-                self._silence.end(before, newest)
+                self._pause.end(before, newest)
             elif self._started:
-                self._note_silence(newest)
+                self._note_pause(newest)
             self._marginalize()  # the Schur complement of what leaves (20)
             self.updates += 1
         return newest
@@ -173,12 +173,12 @@ class WindowSteps:
         if window.started and not self.resting:
             window.append(time)
             return
-        begin, silence = time, self._silence
+        begin, pause = time, self._pause
         if window.started:
-            silence.step = min(silence.step, time - float(window.nodes.time[-1]))
+            pause.step = min(pause.step, time - float(window.nodes.time[-1]))
             due = self.buffer.due(time)
             if due.size:
-                begin = max(self._oldest, min(float(due[0]), time - silence.step))
+                begin = max(self._oldest, min(float(due[0]), time - pause.step))
                 begin = min(begin, time - self._least)
         else:
             self._oldest = time
@@ -189,12 +189,12 @@ class WindowSteps:
     def _rest(self, time: float) -> None:
         """A single node at rest."""
         window = self.window
-        window.lone = self._silence.lone
-        self._started = self._silence.curved = False
-        first = window.prior.fixes_base and not self._silence.has_rest
+        window.lone = self._pause.lone
+        self._started = self._pause.curved = False
+        first = window.prior.fixes_base and not self._pause.has_rest
         _begin_at_rest(window, time, solve=first)
         if first:
-            self._silence.set_rest(self._spread(window), float(window.arclength[-1]))
+            self._pause.set_rest(self._spread(window), float(window.arclength[-1]))
 
     @staticmethod
     def _spread(window: SlidingWindow) -> tuple[float, float]:
@@ -204,7 +204,7 @@ class WindowSteps:
     @property
     def resting(self) -> bool:
         """Whether nothing is known but the prior."""
-        return not self._started and self._silence.has_rest
+        return not self._started and self._pause.has_rest
 
     @property
     def read(self) -> bool:
@@ -213,20 +213,20 @@ class WindowSteps:
         held = self.buffer.since(window.since(len(window.nodes) - 1))
         return bool(held.streams or held.which.size)
 
-    def _note_silence(self, newest: float) -> None:
+    def _note_pause(self, newest: float) -> None:
         """Begin again where the newest state is no better known than that of a robot at rest."""
         spread = self._spread(self.window)
-        self._silence.note(spread)
-        if self._silence.is_at_rest(spread):
+        self._pause.note(spread)
+        if self._pause.is_at_rest(spread):
             self._restart(newest, Counter())
 
     @property
     def curved(self) -> bool:
-        """Whether belief is so wide that the spread of shapes counts, as after silence."""
-        return self._silence.curved or self.resting
+        """Whether belief is so wide that the spread of shapes counts, as after a pause."""
+        return self._pause.curved or self.resting
 
     def newest(self) -> StateEstimate:
-        """The newest state; after silence with the spread of shapes."""
+        """The newest state; after a pause with the spread of shapes."""
         linear = self.window.newest_nodes()
         if not self.curved:
             return linear
@@ -295,7 +295,7 @@ class WindowSteps:
 
     def _solve(self, first: int, fresh: Counter[str]) -> None:
         """Solve from a node on, with the new readings that the gate believes."""
-        self.update.update(first, fresh, linear=not self._silence.curved)
+        self.update.update(first, fresh, linear=not self._pause.curved)
 
 
 def _begin_at_rest(window: SlidingWindow, time: float, *, solve: bool = True) -> None:

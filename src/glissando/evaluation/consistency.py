@@ -16,17 +16,17 @@ from glissando.estimation.posterior import Posterior
 from glissando.evaluation.effective_samples import effective_errors, effective_samples
 from glissando.evaluation.metrics import Errors, innovations
 from glissando.geometry.se3 import Array
-from glissando.model.brief import Brief
 from glissando.model.quantiles import binomial_quantile, chi_square_of, chi_square_quantile
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
+from glissando.model.short_repr import ShortRepr
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
 """Nominal coverages that are reported."""
 
 
 @dataclass(frozen=True)
-class Consistency(Brief):
+class Consistency(ShortRepr):
     """Normalised errors of one quantity at one site, or at all of them.
 
     Attributes:

@@ -21,7 +21,6 @@ from glissando.io.foreign.delimited import cells_of, samples
 from glissando.io.foreign.tracks import Track, unit_rotations
 from glissando.io.query_csv import QUERY_COLUMNS
 from glissando.io.recording import Recording
-from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import (
@@ -30,6 +29,7 @@ from glissando.model.sensors.sensors import (
     PoseReadings,
     PositionReadings,
 )
+from glissando.model.short_repr import ShortRepr
 
 _SAME = 1e-4  # m: samples no farther apart along the body are of one place
 _FAR_APART = 0.3  # of the body: between trajectories that far apart nothing is stated
@@ -41,7 +41,7 @@ _TURN, _COV = QUERY_COLUMNS[5:9], QUERY_COLUMNS[-36:]
 
 
 @dataclass(frozen=True)
-class ForeignEstimate(Brief):
+class ForeignEstimate(ShortRepr):
     """Trajectories at some arclengths, between which poses are interpolated.
 
     Attributes:

@@ -14,7 +14,6 @@ from glissando.estimation.reading_fit import fit_of
 from glissando.estimation.reading_noise import StateSource, reading_covariance
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.model.brief import Brief
 from glissando.model.quantiles import chi_square_of, chi_square_quantile
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import (
@@ -23,6 +22,7 @@ from glissando.model.sensors.sensors import (
     PoseReadings,
     PositionReadings,
 )
+from glissando.model.short_repr import ShortRepr
 from glissando.model.state import State
 
 _LEAST_SHARE = 1e-5  # of a reading's variance that the rest of an estimate leaves
@@ -31,7 +31,7 @@ _TRUTH = (PoseReadings, CoilReadings, PositionReadings, OrientationReadings)
 
 
 @dataclass(frozen=True)
-class Errors(Brief):
+class Errors(ShortRepr):
     """Errors of an estimate at M truth samples in order of time; what a stream lacks is NaN.
 
     Attributes:

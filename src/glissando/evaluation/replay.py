@@ -41,11 +41,11 @@ from glissando.io.csv_stream import Rows
 from glissando.io.journal import Journal
 from glissando.io.recording import Recording
 from glissando.io.recording_folder import load_recording
-from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
+from glissando.model.short_repr import ShortRepr
 from glissando.model.slide_track import slide_motion
 
 _NODES = 4  # in the smoother's window by default
@@ -56,7 +56,7 @@ Watch = Callable[[int, int, FixedLagSmoother], None]
 
 
 @dataclass(frozen=True)
-class Replay(Brief):
+class Replay(ShortRepr):
     """A recording replayed: an estimate and a latency for each update, and errors against truth.
 
     Attributes:

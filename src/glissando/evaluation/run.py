@@ -26,11 +26,11 @@ from glissando.io.csv_stream import Stream
 from glissando.io.netcdf import save_posterior
 from glissando.io.provenance import versions, write_report
 from glissando.io.recording import Recording
-from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
+from glissando.model.short_repr import ShortRepr
 from glissando.solver.gauss_newton import Progress, SolverOptions
 
 _PAUSE = 1.0  # s that readings pause
@@ -38,7 +38,7 @@ _OBSERVED = 0.98  # of what was stated of a sensor parameter: below it, readings
 
 
 @dataclass(frozen=True)
-class Run(Brief):
+class Run(ShortRepr):
     """A recording estimated: what went in, the posterior, and its errors against truth.
 
     Attributes:

@@ -176,7 +176,7 @@ def rank_checks(ranks: dict[str, Array]) -> list[RankCheck]:
     return out
 
 
-def misjudged(prior: Prior, factor: float) -> Prior:
+def scaled_prior(prior: Prior, factor: float) -> Prior:
     """The prior with all its standard deviations times a factor.
 
     Args:
@@ -236,7 +236,7 @@ def simulate_and_rank(
     grid, readings = layout or session_layout(robot)
     predictive = PriorPredictive(robot, grid, readings)
     predictive.require_exact(np.random.default_rng(seed))
-    believed = replace(robot, prior=misjudged(predictive.prior, prior_factor))
+    believed = replace(robot, prior=scaled_prior(predictive.prior, prior_factor))
     ranked: dict[str, list[dict[str, float]]] = {name: [] for name in estimators}
     failed = dict.fromkeys(estimators, 0)
     for i in range(sessions):

@@ -17,10 +17,10 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_table
 from glissando.io.plain_file import plain_text, require_plain
-from glissando.model.brief import Brief
 from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import sensor_class
+from glissando.model.short_repr import ShortRepr
 from glissando.model.tendons.channel import Channel
 
 _PUBLIC_HEAD = "sensor type"
@@ -31,7 +31,7 @@ _OFF_RATE = 2e-3  # share by which two clocks may differ
 
 
 @dataclass(frozen=True)
-class Rows(Brief):
+class Rows(ShortRepr):
     """Readings of one stream as a file holds them, without noise.
 
     Attributes:
@@ -66,7 +66,7 @@ class Rows(Brief):
 
 
 @dataclass(frozen=True)
-class Stream(Brief):
+class Stream(ShortRepr):
     """One sensor's rows and their description.
 
     Attributes:

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from glissando.errors import GlissandoError, needing
-from glissando.estimation.carried import carried, has_rolled
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.solve_report import SolveReport
+from glissando.estimation.transported import has_rolled, transported
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import new_file
 from glissando.io.labelled_posterior import FIELDS, Variables, labelled
@@ -169,7 +169,7 @@ def _posterior(arrays: dict[str, Array], attributes: dict[str, Any], name: str) 
     f"{solve.status}{solve.iterations:d}{solve.cost:g}{sum(solve.seconds.values()):g}"  # or raises
     where = (State(*(p[0] for p in points)), State(*(p[1] for p in points))) if points else None
     marginals = factor(system).marginals(consume=True)
-    marginals = carried(where[0] if where else state, state, marginals)
+    marginals = transported(where[0] if where else state, state, marginals)
     return Posterior(prior, grid, state, system, marginals, solve, estimated, where)
 
 

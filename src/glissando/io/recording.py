@@ -12,10 +12,10 @@ import numpy as np
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
 from glissando.io.csv_stream import Rows, Stream, clean, steady
-from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import SENSORS, Readings
+from glissando.model.short_repr import ShortRepr
 from glissando.model.slide_track import slide_motion
 from glissando.model.tendons.channel import Channel, ends_of
 
@@ -23,7 +23,7 @@ _TRUTH_STD = 1e-6  # noise of a truth stream that states none: negligible agains
 
 
 @dataclass(frozen=True)
-class Recording(Brief):
+class Recording(ShortRepr):
     """A recorded session.
 
     Attributes:

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
-from glissando.model.brief import Brief
+from glissando.model.field_checks import is_number
 from glissando.model.seconds import seconds
-from glissando.model.stated import is_number
+from glissando.model.short_repr import ShortRepr
 
 Index = NDArray[np.intp]
 
@@ -111,7 +111,7 @@ def with_places(nodes: Array, places: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Grid(Brief):
+class Grid(ShortRepr):
     """Nodes over arclength (N,) in metres and time (K,) in seconds, both increasing.
 
     A node (k, n) stands for the time span `time_spans[k]` and the arclength span

@@ -14,8 +14,8 @@ import numpy as np
 
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.model.field_checks import FieldChecks
 from glissando.model.grid import SAME, Index, segment_at
-from glissando.model.stated import Stated
 from glissando.model.table import Table
 
 _GRAVITY = 9.81  # m/s², only to judge whether a rod could carry its own weight
@@ -47,7 +47,7 @@ class Mechanics:
     end: float = _REACHES
 
     def __post_init__(self) -> None:
-        stated = Stated(self)
+        stated = FieldChecks(self)
         count = stated.places("joints").size + 1
         stiffness = stated.numbers("stiffness", (6,), (count, 6), above=0.0).reshape(-1, 6)
         if len(stiffness) != count:

@@ -12,7 +12,7 @@ from glissando._kernels import process, transitions
 from glissando._kernels.arrays import items
 from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
-from glissando.model.stated import is_number
+from glissando.model.field_checks import is_number
 
 _ASYMMETRY = 1e-9  # of both standard deviations, which is rounding
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
-from glissando.model.brief import Brief
+from glissando.model.field_checks import is_number
 from glissando.model.grid import Grid
 from glissando.model.mechanics import Mechanics
 from glissando.model.memory import require_memory
@@ -19,8 +19,8 @@ from glissando.model.priors.prior import Prior
 from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
+from glissando.model.short_repr import ShortRepr
 from glissando.model.state import DOF
-from glissando.model.stated import is_number
 from glissando.model.tendons.tendons import Tendons
 from glissando.model.tube import Tube
 
@@ -28,7 +28,7 @@ _BLOCKS = 4.0  # square blocks of numbers that an estimate keeps for a time node
 
 
 @dataclass(frozen=True)
-class Robot(Brief):
+class Robot(ShortRepr):
     """A robot before any reading: its length, grid, prior and sensors.
 
     Attributes:

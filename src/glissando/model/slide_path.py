@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
-from glissando.model.brief import Brief
+from glissando.model.short_repr import ShortRepr
 
 _SLACK = 1e-6  # of a limit, for rounding
 _MOST = 1e9  # s, m or m/s, beyond which nothing is meant
@@ -40,7 +40,7 @@ class SlideLimits:
 
 
 @dataclass(frozen=True)
-class SlidePath(Brief):
+class SlidePath(ShortRepr):
     """Displacement of a sensor from the tip towards the base, at constant acceleration by pieces.
 
     Knots `time` (K,) s, `displacement` (K,) m, `speed` (K,) m/s; before the first and after the

@@ -12,8 +12,8 @@ from glissando._kernels import state as kernels
 from glissando._kernels.arrays import items, unflatten
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.model.brief import Brief
 from glissando.model.grid import Grid
+from glissando.model.short_repr import ShortRepr
 
 DOF = 18
 """Numbers of a state that a sensor or a user sees, in the order pose, strain, velocity."""
@@ -22,7 +22,7 @@ POSE, STRAIN, VELOCITY, STRAIN_RATE, INERTIA = (slice(6 * i, 6 * i + 6) for i in
 
 
 @dataclass(frozen=True)
-class State(Brief):
+class State(ShortRepr):
     """Pose T_wb, strain and velocity at points; any leading shape, (K, N) on a grid.
 
     `pose` (…, 4, 4); `strain` (…, 6) with dT/ds = T strain^ (1/m on the angular half);

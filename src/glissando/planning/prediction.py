@@ -1,7 +1,7 @@
 """The time ahead at full size: prior and belief on a grid, linearised at the expected motion.
 
 All of it is the estimator's own: the prior's factors, a reading's Jacobian with the bridge's noise,
-what is known between the nodes. What is foretold for a path is therefore what the estimator will
+what is known between the nodes. What is predicted for a path is therefore what the estimator will
 say, were the robot to move as expected.
 """
 

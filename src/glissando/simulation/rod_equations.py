@@ -25,7 +25,7 @@ from glissando.simulation.rod import Rod, Tendon
 
 
 @dataclass(frozen=True)
-class Instant:
+class AppliedLoads:
     """What acts on a rod at one time.
 
     Attributes:
@@ -46,7 +46,7 @@ class Instant:
     planes: Array = field(default_factory=lambda: np.zeros((0, 9)))
     base_rates: Array = field(default_factory=lambda: np.zeros((4, 3)))
 
-    def share(self, share: float) -> Instant:
+    def share(self, share: float) -> AppliedLoads:
         """The same loads, each a share of itself."""
         cables, planes, sites = np.array(self.cables), np.array(self.planes), np.array(self.sites)
         cables[:, :2] *= share
@@ -125,7 +125,7 @@ class RodEquations:
         """Number of unknown strains."""
         return self.rest.size
 
-    def at(self, state: Array, instant: Instant) -> Balance:
+    def at(self, state: Array, instant: AppliedLoads) -> Balance:
         """The balance of strains and their two derivatives by time (3, G, 6)."""
         mesh, a = self.mesh, instant
         fixed = mesh.steps, mesh.widths, self.before, self.beyond, mesh.weights

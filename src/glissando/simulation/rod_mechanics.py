@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from glissando.geometry.se3 import Array, hat3
-from glissando.simulation.rod_equations import Balance, Instant, RodEquations
+from glissando.simulation.rod_equations import AppliedLoads, Balance, RodEquations
 
 _LEVER = 0.1  # of the length: an arm with which a turn counts as a move
 
@@ -25,7 +25,7 @@ class Matrices(NamedTuple):
     moves: Array
 
 
-def matrices(equations: RodEquations, at: Balance, instant: Instant) -> Matrices:
+def matrices(equations: RodEquations, at: Balance, instant: AppliedLoads) -> Matrices:
     """The matrices that Newton's iteration uses; symmetric, for tendons without friction.
 
     They leave out gyroscopic terms and the slope of inertia by strain, which are small beside the
@@ -51,7 +51,7 @@ def matrices(equations: RodEquations, at: Balance, instant: Instant) -> Matrices
     return Matrices(mass, damping, stiffness, reach)
 
 
-def natural_frequencies(equations: RodEquations, at: Balance, instant: Instant) -> Array:
+def natural_frequencies(equations: RodEquations, at: Balance, instant: AppliedLoads) -> Array:
     """Frequencies (6G,) of small undamped vibrations about a balance at rest, Hz, lowest first."""
     linear = matrices(equations, at, instant)
     squares = eigh(linear.stiffness, linear.mass, eigvals_only=True)
@@ -81,7 +81,9 @@ def _square(operator: Array, blocks: Array) -> Array:
     return flat.T @ (blocks @ operator).reshape(flat.shape)
 
 
-def _contact_blocks(equations: RodEquations, at: Balance, instant: Instant) -> tuple[Array, Array]:
+def _contact_blocks(
+    equations: RodEquations, at: Balance, instant: AppliedLoads
+) -> tuple[Array, Array]:
     """Stiffness and damping (S, 3, 3) of contacts and holds at the places."""
     points, weights = len(equations.rest), equations.mesh.weights
     stiff, damp = np.zeros((2, len(at.place), 3, 3))
@@ -111,7 +113,7 @@ def energies(equations: RodEquations, state: Array, at: Balance, gravity: Array)
     return np.array([0.5 * weights @ motion, 0.5 * weights @ bent, weights @ height])
 
 
-def powers(equations: RodEquations, state: Array, at: Balance, instant: Instant) -> Array:
+def powers(equations: RodEquations, state: Array, at: Balance, instant: AppliedLoads) -> Array:
     """Powers (3,) from tendons, loads and base, from contacts and holds, from damping (< 0), W."""
     points, weights, section = len(equations.rest), equations.mesh.weights, equations.section
     velocity = at.rates[0, :points]

@@ -13,7 +13,7 @@ from glissando.errors import NoShapeError
 from glissando.geometry.se3 import Array
 from glissando.simulation.mesh import Mesh
 from glissando.simulation.rod import Loads, Rod, Tendon, Wrench, require_possible
-from glissando.simulation.rod_equations import Balance, Instant, RodEquations
+from glissando.simulation.rod_equations import AppliedLoads, Balance, RodEquations
 from glissando.simulation.rod_mechanics import matrices
 from glissando.simulation.shape import Shape
 
@@ -99,7 +99,7 @@ class Equilibrium:
     """
 
     equations: RodEquations
-    instant: Instant
+    instant: AppliedLoads
 
     @staticmethod
     def of(rod: Rod, tendons: Sequence[Tendon], loads: Loads, mesh: Mesh) -> Equilibrium:
@@ -108,7 +108,7 @@ class Equilibrium:
         cables[:, 0], cables[:, 3] = loads.tensions, [tendon.friction for tendon in tendons]
         sites = off_base([site(mesh, wrench) for wrench in loads.wrenches])
         gravity = np.asarray(loads.gravity, dtype=float)
-        instant = Instant(rod.base, gravity, cables, sites)
+        instant = AppliedLoads(rod.base, gravity, cables, sites)
         return Equilibrium(RodEquations.of(rod, tendons, mesh), instant)
 
     def load_up(self, guess: Array | None) -> Array:
@@ -209,7 +209,7 @@ class Equilibrium:
 
 
 def site(mesh: Mesh, wrench: Wrench) -> Array:
-    """A dead load at an edge of a mesh, as a row (12,) of `Instant.sites`."""
+    """A dead load at an edge of a mesh, as a row (12,) of `AppliedLoads.sites`."""
     row = np.zeros(12)
     row[0] = np.abs(mesh.edges - wrench.arclength).argmin() - 1
     row[1:4], row[4:7] = wrench.force, wrench.moment

@@ -17,9 +17,9 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Residuals
+from glissando.model.field_checks import is_number
 from glissando.model.priors.prior import Prior
 from glissando.model.state import State
-from glissando.model.stated import is_number
 from glissando.solver.block_tridiagonal import Cholesky, factor
 from glissando.solver.damping import Damping, Step, saying_why
 from glissando.solver.linearize import NormalEquations, gradient, linearize

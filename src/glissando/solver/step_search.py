@@ -32,7 +32,7 @@ Linearize = Callable[[Where, NormalEquations | None], NormalEquations]
 
 
 @dataclass(frozen=True)
-class _Way:
+class _Candidate:
     """Where a step may lead: the share of its promise, and whether a whole step is bent or not."""
 
     where: Where
@@ -42,19 +42,19 @@ class _Way:
 
 def candidates(
     prior: Prior, here: NormalEquations, step: Array, *, bent: bool = False
-) -> Iterator[_Way]:
+) -> Iterator[_Candidate]:
     """Where a step may lead: straight on, bent, and bent and shorter; straight on last if `bent`.
 
     A long step straight on tears poses and strains apart, which stiff priors punish; bent, poses
     still follow from the strains. Along a curved valley a shorter one is better than a damped one.
     """
     if not bent:
-        yield _Way(_straight(here, step), bent=False)
+        yield _Candidate(_straight(here, step), bent=False)
     for part in (1.0, *_SHORTER):
         where = _bent(prior, here, part * step)
-        yield _Way(where, part * (2.0 - part), True if part == 1.0 else None)
+        yield _Candidate(where, part * (2.0 - part), True if part == 1.0 else None)
     if bent:
-        yield _Way(_straight(here, step), bent=False)
+        yield _Candidate(_straight(here, step), bent=False)
 
 
 def whole_steps(prior: Prior, here: NormalEquations, step: Array) -> Iterator[Where]:
@@ -121,7 +121,7 @@ def _ways(
     at: Linearize,
     *,
     bent: bool,
-) -> Iterator[tuple[NormalEquations, _Way]]:
+) -> Iterator[tuple[NormalEquations, _Candidate]]:
     """The problem where each candidate leads, as far as its weights exist.
 
     Last comes where a second step from straight on leads. A step along the tangent of a narrow
@@ -134,5 +134,5 @@ def _ways(
     with suppress(np.linalg.LinAlgError, UnobservableError):
         high = at(next(candidates(prior, here, step)).where, fixed)
         onward = factor(high.system).solve(high.rhs)
-        way = _Way(next(candidates(prior, high, onward)).where)
+        way = _Candidate(next(candidates(prior, high, onward)).where)
         yield at(way.where, fixed), way

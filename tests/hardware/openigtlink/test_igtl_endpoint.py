@@ -15,12 +15,12 @@ from glissando.errors import DeviceError
 from glissando.hardware.openigtlink import Endpoint, Message, decode, encode
 from glissando.hardware.openigtlink import contents as c
 from glissando.hardware.openigtlink import endpoint as endpoint_module
-from glissando.hardware.openigtlink import exchange as exchange_module
+from glissando.hardware.openigtlink import peer_server as peer_server_module
 from glissando.hardware.openigtlink.address import Address
 from glissando.hardware.openigtlink.errors import MalformedError
-from glissando.hardware.openigtlink.exchange import Exchange
 from glissando.hardware.openigtlink.framer import Framer
 from glissando.hardware.openigtlink.link import REPORT, PacketLink
+from glissando.hardware.openigtlink.peer_server import PeerServer
 from igtl_messages import random_messages
 from waiting import until
 
@@ -116,11 +116,11 @@ def test_peers_get_the_same_whole_updates_and_can_answer():
 
 
 def test_a_peer_that_comes_or_goes_is_reported_at_once(monkeypatch):
-    monkeypatch.setattr(exchange_module, "_REPORT", 1e9)  # only the first comes of its own
+    monkeypatch.setattr(peer_server_module, "_REPORT", 1e9)  # only the first comes of its own
     with socket.create_server(("127.0.0.1", 0)) as door:
         near = PacketLink(socket.create_connection(door.getsockname()))
         far = PacketLink(door.accept()[0])
-    exchange, reports = Exchange(Address.parse("igtl-server://:0"), far), []
+    exchange, reports = PeerServer(Address.parse("igtl-server://:0"), far), []
     thread = threading.Thread(target=exchange.run, daemon=True)
     thread.start()
 
@@ -147,8 +147,8 @@ def test_a_call_that_fails_at_once_is_no_connection(monkeypatch, problem):
 
     near, far = socket.socketpair()
     with near, far:
-        exchange = Exchange(Address.parse("igtl://127.0.0.1:1"), SimpleNamespace(socket=far))
-        monkeypatch.setattr(exchange_module.socket, "socket", Unreachable)
+        exchange = PeerServer(Address.parse("igtl://127.0.0.1:1"), SimpleNamespace(socket=far))
+        monkeypatch.setattr(peer_server_module.socket, "socket", Unreachable)
         exchange._call()
         assert exchange._calling is None
         assert [key.fileobj for key in exchange._selector.get_map().values()] == [far]
@@ -162,9 +162,9 @@ def test_a_host_of_several_addresses_is_called_at_each_in_turn(monkeypatch):
     near, far = socket.socketpair()
     with near, far, socket.create_server(("127.0.0.1", 0)) as door:
         found.append((*found[0][:4], door.getsockname()))
-        monkeypatch.setattr(exchange_module.socket, "getaddrinfo", lambda *_, **__: found)
-        monkeypatch.setattr(exchange_module, "_AGAIN", 0.0)
-        exchange = Exchange(Address.parse("igtl://both:1"), SimpleNamespace(socket=far))
+        monkeypatch.setattr(peer_server_module.socket, "getaddrinfo", lambda *_, **__: found)
+        monkeypatch.setattr(peer_server_module, "_AGAIN", 0.0)
+        exchange = PeerServer(Address.parse("igtl://both:1"), SimpleNamespace(socket=far))
 
         def connected():
             exchange._call()

@@ -63,7 +63,7 @@ class StreamFit:
         count: Number of readings.
         rms: RMS of the residuals [m, rad].
         whitened: RMS in units of the stated noise, 1 if it is true: of the coil's innovations by
-            bunch, and of a body's residuals, which are smaller as it was used for the shape.
+            block, and of a body's residuals, which are smaller as it was used for the shape.
     """
 
     name: str
@@ -75,7 +75,7 @@ class StreamFit:
 def stream_fits(fit: RigFit) -> tuple[StreamFit, ...]:
     """Residuals of the coil and of every body."""
     model = fit.model
-    residual = replace(model, bunch=1).residual(fit.rig).reshape(-1, ROWS)
+    residual = replace(model, block_size=1).residual(fit.rig).reshape(-1, ROWS)
     whitened = float(np.sqrt(np.mean(fit.innovations() ** 2)))
     out = [StreamFit(model.data.coil_name, len(residual), _rms(residual), whitened)]
     shape = model.shape
@@ -129,7 +129,7 @@ def advice(data: RigData, cov: Array, std: Array) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def surprises(rig: Rig, expected: Rig, std: Array) -> tuple[str, ...]:
+def prior_conflicts(rig: Rig, expected: Rig, std: Array) -> tuple[str, ...]:
     """Sentences on numbers of the slide and the clocks that lie far from what was expected.
 
     Args:

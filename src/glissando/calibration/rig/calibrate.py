@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from glissando.calibration.rig.advice import advice, stream_fits, surprises
+from glissando.calibration.rig.advice import advice, prior_conflicts, stream_fits
 from glissando.calibration.rig.carriage import fit_slide, judgement
+from glissando.calibration.rig.initial_guess import FEWEST, distances, inliers, rough_start
 from glissando.calibration.rig.model import ROWS, CoilModel
 from glissando.calibration.rig.plausible import require_metres
 from glissando.calibration.rig.refine import RigFit, refine
 from glissando.calibration.rig.result import Calibration
 from glissando.calibration.rig.rig import ANYWHERE, Rig, RigData
-from glissando.calibration.rig.rough import FEWEST, agreeing, distances, rough_start
 from glissando.calibration.rig.shape import estimate_shape, span
 from glissando.calibration.rig.slide_timing import LATEST, against_slide, slide_lag
 from glissando.calibration.rig.white_noise import with_measured_noise
@@ -24,7 +24,7 @@ from glissando.model.quantiles import chi_square_exceedance
 from glissando.model.robot import Robot
 from glissando.solver.block_tridiagonal import factor
 
-_READINGS = 400  # bunches that are used: more of them read the same places again
+_READINGS = 400  # blocks that are used: more of them read the same places again
 _FIRST = 60  # readings that tell one direction from the other
 _OUTLIER = float(
     chi_square_exceedance(1e-6, ROWS)
@@ -76,13 +76,13 @@ def _calibrated(data: RigData, robot: Robot, readings: int) -> Calibration:
     model = CoilModel(data, shape, factor(shape.system))
     best, expected, odds = _choose_direction(model, expected, std)
     model = _covered(model, best)
-    sound = replace(model, data=model.data.at(agreeing(model, best)))
+    sound = replace(model, data=model.data.at(inliers(model, best)))
     sound = with_measured_noise(sound, best)
-    bunched = _bunched(sound, readings)
-    fit = _without_outliers(refine(bunched, best, expected, std), expected, std)
+    averaged = _averaged(sound, readings)
+    fit = _without_outliers(refine(averaged, best, expected, std), expected, std)
     left_out = model.data.coil_time.size - sound.data.coil_time.size
-    left_out += bunched.data.coil_time.size - fit.model.data.coil_time.size
-    notes += _doubts(data, fit, odds, left_out) + surprises(fit.rig, expected, std)
+    left_out += averaged.data.coil_time.size - fit.model.data.coil_time.size
+    notes += _doubts(data, fit, odds, left_out) + prior_conflicts(fit.rig, expected, std)
     notes += advice(data, fit.cov, std)
     if tube is not None:
         notes += judgement(tube, fit.rig, fit.cov, data)
@@ -109,7 +109,7 @@ def _choose_direction(model: CoilModel, expected: Rig, std: Array) -> tuple[Rig,
         for direction in ((1, -1) if data.slides else (1,))
     }
     better = min(starts.values(), key=lambda rig: float(np.median(distances(few, rig))))
-    few = replace(few, data=few.data.at(agreeing(few, better)))
+    few = replace(few, data=few.data.at(inliers(few, better)))
     fits = [_fit_direction(few, starts, direction, std) for direction in starts]
     fits.sort(key=lambda fit: -fit.log_evidence)
     best = fits[0].rig.direction
@@ -138,13 +138,13 @@ def _covered(model: CoilModel, rig: Rig) -> CoilModel:
     return replace(model, data=_enough(data.at(np.flatnonzero(inside))))
 
 
-def _bunched(model: CoilModel, count: int) -> CoilModel:
-    """The model with at most `count` bunches, of single readings where there are few."""
-    size = model.data.bunch
-    data = model.data.bunches(size, count)
+def _averaged(model: CoilModel, count: int) -> CoilModel:
+    """The model with at most `count` blocks, of single readings where there are few."""
+    size = model.data.block_size
+    data = model.data.blocks(size, count)
     if data.coil_time.size < FEWEST * size:
         return replace(model, data=model.data.thinned(count))
-    return replace(model, data=data, bunch=size)
+    return replace(model, data=data, block_size=size)
 
 
 def _enough(data: RigData) -> RigData:

@@ -14,7 +14,7 @@ from glissando.calibration.rig.rig import PARAMETERS, Rig, RigData, side_of_back
 from glissando.calibration.rig.slide_timing import LATEST
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
-from glissando.model.brief import Brief
+from glissando.model.short_repr import ShortRepr
 
 _RATE = 1e-4  # standard deviation of a crystal's rate before [inferred]
 _STEP = 0.025  # s between delays that are tried first
@@ -29,7 +29,7 @@ _SAME = {"lead scale": "lead", "slide's delay": "slide delay"}
 
 
 @dataclass(frozen=True)
-class SlideFit(Brief):
+class SlideFit(ShortRepr):
     """What a body on the sliding tube says of the slide.
 
     Attributes:

@@ -36,19 +36,19 @@ class CoilModel:
         data: The session, coil readings in the order of time.
         shape: Posterior of the robot's shape given motion capture.
         chol: Factor of that posterior's information.
-        bunch: Odd number of consecutive readings that count as one by their mean, because all
+        block_size: Odd number of consecutive readings that count as one by their mean, because all
             errors but the white ones are the same.
     """
 
     data: RigData
     shape: Posterior
     chol: Cholesky
-    bunch: int = 1
+    block_size: int = 1
     maps: dict[Channel, ChannelMap] = field(default_factory=dict, repr=False)
 
-    def at(self, bunches: NDArray[np.intp]) -> CoilModel:
-        """The model with some of the bunches."""
-        rows = bunches[:, None] * self.bunch + np.arange(self.bunch)
+    def at(self, blocks: NDArray[np.intp]) -> CoilModel:
+        """The model with some of the blocks."""
+        rows = blocks[:, None] * self.block_size + np.arange(self.block_size)
         return replace(self, data=self.data.at(rows.ravel()))
 
     def points(self, rig: Rig) -> tuple[Array, Array]:
@@ -87,7 +87,7 @@ class CoilModel:
             arclength=arclength,
             values=values,
             cov=var,
-            mount=rig.sits(arclength, self.data),
+            mount=rig.mount_at(arclength, self.data),
         )
 
     def expected(self, rig: Rig) -> tuple[CoilReadings, State]:
@@ -100,13 +100,13 @@ class CoilModel:
         return replace(readings, values=readings.values @ se3.exp(roll)), states
 
     def residual(self, rig: Rig) -> Array:
-        """Expected minus measured (B·5,) in the coil's frame, roll left out, by bunch."""
+        """Expected minus measured (B·5,) in the coil's frame, roll left out, by block."""
         readings, states = self.expected(rig)
         return self._bunch_means(readings.residual(states))
 
     def _bunch_means(self, rows: Array) -> Array:
-        """Means (B·5,) over each bunch of rows (M, 5)."""
-        return rows.reshape(-1, self.bunch, ROWS).mean(axis=1).ravel()
+        """Means (B·5,) over each block of rows (M, 5)."""
+        return rows.reshape(-1, self.block_size, ROWS).mean(axis=1).ravel()
 
     def jacobian(self, rig: Rig) -> Array:
         """Derivative (B·5, 17) of the residual by the rig's parameters, for noise-free readings.
@@ -120,7 +120,7 @@ class CoilModel:
         points = (arclength + steps[:, 0]).ravel(), (time + steps[:, 1]).ravel()
         nearby = self.states(*points).reshape(len(steps), time.size)
         states, *ends = (nearby.take(k) for k in range(len(steps)))
-        coil = se3.inverse(rig.T_wt) @ states.pose @ rig.sits(arclength, self.data)
+        coil = se3.inverse(rig.T_wt) @ states.pose @ rig.mount_at(arclength, self.data)
         ideal = replace(self, data=replace(self.data, coil=coil))
         by_state = ideal.readings(rig).jacobian(states)
         by_arclength, by_time = (
@@ -142,12 +142,12 @@ class CoilModel:
         return np.stack(columns, axis=-1)
 
     def covariance(self, rig: Rig) -> Array:
-        """Covariance (B·5, B·5) of the residual at the true rig, by each bunch's middle reading."""
-        if self.bunch > 1:
-            rows = np.arange(self.bunch // 2, self.data.coil_time.size, self.bunch)
-            noise = replace(self.data.noise, coil=self.data.noise.coil / np.sqrt(self.bunch))
+        """Covariance (B·5, B·5) of the residual at the true rig, by each block's middle reading."""
+        if self.block_size > 1:
+            rows = np.arange(self.block_size // 2, self.data.coil_time.size, self.block_size)
+            noise = replace(self.data.noise, coil=self.data.noise.coil / np.sqrt(self.block_size))
             middles = replace(self.data.at(rows), noise=noise)
-            return replace(self, data=middles, bunch=1).covariance(rig)
+            return replace(self, data=middles, block_size=1).covariance(rig)
         (readings, states), noise = self.expected(rig), self.data.noise
         arclength, time = readings.arclength, readings.time
         by_state = readings.jacobian(states)

@@ -40,7 +40,7 @@ class RigFit:
     converged: bool
 
     def innovations(self) -> Array:
-        """Whitened distance (B, 5) of each bunch from its prediction by all others."""
+        """Whitened distance (B, 5) of each block from its prediction by all others."""
         inverse = cho_solve((self.chol, True), np.eye(len(self.chol)))
         weighted = inverse @ self.model.residual(self.rig)
         out = []

@@ -21,9 +21,9 @@ from glissando.io.csv_stream import Rows, Stream
 from glissando.io.provenance import require_readable, stated_format, versions
 from glissando.io.recording import Recording
 from glissando.io.toml_table import read_toml
-from glissando.model.brief import Brief
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.short_repr import ShortRepr
 from glissando.model.table import Table, pose_table
 from glissando.model.tendons.channel import Channel, ends_of
 
@@ -32,7 +32,7 @@ _UNITS = {"delay": ("ms", 1e3), "rate": ("ppm", 1e6), "lead": ("1", 1.0)}
 
 
 @dataclass(frozen=True)
-class Calibration(Brief):
+class Calibration(ShortRepr):
     """Constants of a rig with their joint covariance.
 
     Attributes:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from glissando.calibration.rig.other_coil import OtherCoil
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.model.brief import Brief
 from glissando.model.priors.rest_shape import STRAIGHT
+from glissando.model.short_repr import ShortRepr
 from glissando.model.tendons.channel import Channel
 
 PARAMETERS = (
@@ -31,7 +31,7 @@ MOUNT = np.array([0, 1, 3, 4])
 ANYWHERE = 1.0
 """Standard deviation of the tracker's frame before calibration, m and rad."""
 _WIDEST = 0.05  # m: radius of a channel
-_BUNCH = 0.1  # s in which all errors but the white ones stay the same
+_BLOCK = 0.1  # s in which all errors but the white ones stay the same
 
 
 def _vector(*values: float) -> Array:
@@ -91,7 +91,7 @@ class TubeBody:
 
 
 @dataclass(frozen=True)
-class RigData(Brief):
+class RigData(ShortRepr):
     """Data of a session; the arrays of a missing device are empty.
 
     Attributes:
@@ -149,18 +149,18 @@ class RigData(Brief):
         return self.at(rows)
 
     @property
-    def bunch(self) -> int:
+    def block_size(self) -> int:
         """Number of coil readings, odd, that follow each other within a tenth of a second."""
         if self.coil_time.size < 2:
             return 1
         step = float(np.median(np.diff(self.coil_time)))
-        return 2 * int(0.505 * _BUNCH / step) + 1  # a little more, for a clock that runs slow
+        return 2 * int(0.505 * _BLOCK / step) + 1  # a little more, for a clock that runs slow
 
-    def bunches(self, size: int, count: int) -> RigData:
-        """The same data with at most `count` bunches of `size` readings without gaps."""
+    def blocks(self, size: int, count: int) -> RigData:
+        """The same data with at most `count` blocks of `size` readings without gaps."""
         first = np.arange(0, self.coil_time.size - size + 1, size)
         lasts = self.coil_time[first + size - 1] - self.coil_time[first]
-        first = first[lasts < 1.5 * _BUNCH]
+        first = first[lasts < 1.5 * _BLOCK]
         if first.size > count:
             first = first[np.linspace(0, first.size - 1, count).round().astype(int)]
         return self.at((first[:, None] + np.arange(size)).ravel())
@@ -227,7 +227,7 @@ class Rig:
         widest = min(_WIDEST, abs(stated.pitch))  # a step of the fit may go too far
         return Channel(min(float(np.hypot(x, y)), widest), float(np.arctan2(y, x)), stated.pitch)
 
-    def sits(self, arclength: Array, data: RigData) -> Array:
+    def mount_at(self, arclength: Array, data: RigData) -> Array:
         """The coil in the cross-sections at arclengths (M,): T_bc (4, 4), or (M, 4, 4)."""
         channel = self.channel(data)
         if channel is None:

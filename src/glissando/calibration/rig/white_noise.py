@@ -21,11 +21,11 @@ def with_measured_noise(model: CoilModel, rig: Rig) -> CoilModel:
     a field's distortion or a tube's clearance add changes slowly.
 
     Args:
-        model: The readings, none bunched.
+        model: The readings, none averaged.
         rig: A rough rig.
     """
     step = np.diff(model.data.coil_time)
-    residual = replace(model, bunch=1).residual(rig).reshape(-1, ROWS)
+    residual = replace(model, block_size=1).residual(rig).reshape(-1, ROWS)
     if len(residual) < 3:
         return model
     near = np.maximum(step[1:], step[:-1]) < _WITHIN * np.median(step)

@@ -69,7 +69,7 @@ def slopes(changes: Sequence[Change | None], count: int) -> tuple[Array, Array]:
     """Slope (P,) and information (P, P) of minus the evidence, per degree of freedom.
 
     Of a covariance that is scaled by exp(z) too much, the average information differs from the
-    curvature by exp(∓z) and the expected one by 1; their geometric mean foretells the whole way
+    curvature by exp(∓z) and the expected one by 1; their geometric mean predicts the whole way
     back up to z³ / 24. Of what moves means both are the same.
 
     Args:

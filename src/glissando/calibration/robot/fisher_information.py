@@ -1,4 +1,4 @@
-"""What truth tells of parameters, by how they change what an estimate foretells of it."""
+"""What truth tells of parameters, by how they change what an estimate predicts of it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from glissando.calibration.robot.predictive import Foretold, Score
+from glissando.calibration.robot.predictive import Predicted, Score
 from glissando.geometry.se3 import Array
 
 NUDGE = 1e-2
@@ -32,14 +32,14 @@ def slopes(centre: Score, beside: Sequence[Score | None], nudge: float) -> tuple
     slope, changes = np.zeros(count), np.zeros((count, 0))
     for i, score in enumerate(beside):
         if score is not None:
-            change = _whitened(centre.foretold, score.foretold, nudge)
+            change = _whitened(centre.predicted, score.predicted, nudge)
             changes = changes if changes.size else np.zeros((count, change.size))
             changes[i] = change
             slope[i] = (centre.value - score.value) / nudge
     return slope, changes @ changes.T / centre.samples
 
 
-def _whitened(centre: Sequence[Foretold], beside: Sequence[Foretold], nudge: float) -> Array:
+def _whitened(centre: Sequence[Predicted], beside: Sequence[Predicted], nudge: float) -> Array:
     """Changes of residuals and covariances by a parameter, of which products are information."""
     parts: list[Array] = []
     for (residual, cov), (moved, widened) in zip(centre, beside, strict=True):

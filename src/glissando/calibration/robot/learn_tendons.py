@@ -29,7 +29,7 @@ _MOST = 700  # rows that numbers are learned from
 _STEPS = 25
 _ENOUGH = 0.5  # fall of the cost at which to stop
 _GIVE_UP = 1e6  # damping
-_FAR = 30.0  # times as far as foretold, or as little: the tip is in another unit
+_FAR = 30.0  # times as far as predicted, or as little: the tip is in another unit
 _COVERED, _ELLIPSOID = 0.97, 0.95  # motions to come combine more than those left out do
 
 Watch = Callable[[str], None]
@@ -141,12 +141,12 @@ def spread(positions: Array) -> float:
 
 
 def _require_unit(model: TendonModel, data: TendonData) -> None:
-    """Raise RecordingError where the tip moves a thousandth of what is foretold, or a thousand."""
-    moved, foretold = spread(data.tip), spread(data.tip - _errors(model, model.start(), data))
-    if not foretold / _FAR < moved < foretold * _FAR:
+    """Raise RecordingError where the tip moves a thousandth of what is predicted, or a thousand."""
+    moved, predicted = spread(data.tip), spread(data.tip - _errors(model, model.start(), data))
+    if not predicted / _FAR < moved < predicted * _FAR:
         raise RecordingError(
             f"The tip moves by {1e3 * moved:.3g} mm (RMS), where these displacements move a robot "
-            f"of this file by {1e3 * foretold:.3g} mm; give positions and displacements in the "
+            f"of this file by {1e3 * predicted:.3g} mm; give positions and displacements in the "
             f"units that the recording says, and stiffness in N m²."
         )
 

@@ -90,7 +90,7 @@ class Objective:
                 options,
                 initial=start.state,
                 initial_parameters=start.sensor_parameters,
-                dates=False,  # which changes what is foretold by less than a step gains
+                dates=False,  # which changes what is predicted by less than a step gains
             )
             for case, each, start in zip(self.cases, readings, about.starts, strict=True)
         ]
@@ -126,8 +126,8 @@ class Objective:
         if not samples:
             raise RecordingError("There is no truth in the window; choose another.")
         value = sum(s.value * s.samples for s in scores) / samples
-        foretold = tuple(each for score in scores for each in score.foretold)
-        return Score(value, samples, sum(s.independent for s in scores), constants, foretold)
+        predicted = tuple(each for score in scores for each in score.predicted)
+        return Score(value, samples, sum(s.independent for s in scores), constants, predicted)
 
     @staticmethod
     def _readings(case: RecordingCase, robot: Robot) -> list[Readings]:

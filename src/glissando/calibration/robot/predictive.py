@@ -28,7 +28,7 @@ APART = 0.5
 _MOVED = 5e-3, 0.05  # m, rad: motion of a body between samples that count
 
 
-Foretold = tuple[Array, Array]
+Predicted = tuple[Array, Array]
 """Residuals (M, r) of the samples of a truth stream, and their covariance (M, r, r)."""
 
 
@@ -41,14 +41,14 @@ class Score:
         samples: Degrees of freedom.
         independent: Degrees of freedom that are independent; all places of a robot err together.
         constants: Frame, mounts and delays of the truth.
-        foretold: The samples of truth, by stream; none of readings.
+        predicted: The samples of truth, by stream; none of readings.
     """
 
     value: float
     samples: int
     independent: float
     constants: tuple[SensorParameter, ...] = ()
-    foretold: tuple[Foretold, ...] = ()
+    predicted: tuple[Predicted, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -101,13 +101,13 @@ def predict(
     for _ in range(_ROUNDS * free):
         constants = _improved(sparse, states, constants)
     pairs = zip(sparse, states, strict=True)
-    foretold = tuple(_residual(corrected(t, constants), at) for t, at in pairs)
-    total = sum(_cost(*each) for each in foretold)
-    count = sum(residual.size for residual, _ in foretold)
+    predicted = tuple(_residual(corrected(t, constants), at) for t, at in pairs)
+    total = sum(_cost(*each) for each in predicted)
+    count = sum(residual.size for residual, _ in predicted)
     stretches = np.concatenate([np.zeros(0), *(t.time // APART for t in sparse)])
     independent = count * np.unique(stretches).size / max(stretches.size, 1)
     value = -total / max(count, 1)
-    return Score(value, count, independent, (*constants, *moving), foretold)
+    return Score(value, count, independent, (*constants, *moving), predicted)
 
 
 def informative(truth: Sequence[Readings]) -> list[Readings]:

@@ -1,7 +1,7 @@
 """Newton steps towards the parameters of a robot file under which data are most likely.
 
-Slope and curvature take one nudge of each parameter. Where truth is foretold, its samples tell
-both (Fisher scoring): what is foretold beside the centre costs one Gauss–Newton step from the
+Slope and curvature take one nudge of each parameter. Where truth is predicted, its samples tell
+both (Fisher scoring): what is predicted beside the centre costs one Gauss–Newton step from the
 estimate there, as the optimum moves by that step to first order (the implicit function theorem).
 The evidence of readings is differentiated where the estimate is (average information).
 """
@@ -94,7 +94,7 @@ class Search:
 
     def differentiate(self, tell: Callable[[float], None]) -> Array:
         """Slope (P,) at the centre; keeps the curvature and the standard deviations there."""
-        by = self._by_samples if self.centre.score.foretold else self._by_evidence
+        by = self._by_samples if self.centre.score.predicted else self._by_evidence
         slope, curvature = by(tell)
         least = float(_PRIOR_STD**-2.0 / self.independent)  # of the prior
         self._curvature = curvature + least * np.eye(self.x.size)

@@ -10,7 +10,7 @@ import numpy as np
 from glissando.evaluation.plausibility.corrections import Correction, corrections
 from glissando.evaluation.plausibility.finding import Finding, listed
 from glissando.evaluation.plausibility.session import Streams
-from glissando.evaluation.plausibility.shape import ROUNDS, Fit, Rod, Sightings
+from glissando.evaluation.plausibility.shape import ROUNDS, Fit, Rod, TrackedPoses
 from glissando.geometry.se3 import Array
 from glissando.model.quantiles import chi_square_exceedance
 
@@ -65,7 +65,7 @@ def check_poses(streams: Streams) -> Iterator[Finding]:
     yield _explained(streams, rod, seen, miss[0], float(effort[0]))
 
 
-def _judge(fit: Fit, seen: Sightings, count: int = 1) -> tuple[Array, Array]:
+def _judge(fit: Fit, seen: TrackedPoses, count: int = 1) -> tuple[Array, Array]:
     """Typical misses (count, J) and efforts (count,) of a batch of `count` times some moments.
 
     Both are in units of what is tolerated. An effort is that of the bends and of all misses, which
@@ -86,7 +86,9 @@ def _judge(fit: Fit, seen: Sightings, count: int = 1) -> tuple[Array, Array]:
     return np.median(misses, axis=1).max(axis=-1) / _MISS[few], efforts / limit
 
 
-def _explained(streams: Streams, rod: Rod, seen: Sightings, miss: Array, effort: float) -> Finding:
+def _explained(
+    streams: Streams, rod: Rod, seen: TrackedPoses, miss: Array, effort: float
+) -> Finding:
     """The finding that names what explains why the poses fit no shape."""
     tracked = streams.tracked
     groups = _suspects(streams, rod, seen)
@@ -139,7 +141,7 @@ def _how(streams: Streams, miss: Array, effort: float) -> str:
     return f"{name!r} misses the best shape by {miss[worst]:.3g} times what is tolerated"
 
 
-def _suspects(streams: Streams, rod: Rod, seen: Sightings) -> list[tuple[int, ...]]:
+def _suspects(streams: Streams, rod: Rod, seen: TrackedPoses) -> list[tuple[int, ...]]:
     """Groups of streams without which the rest fits a shape, the smallest first."""
     tracked = streams.tracked
     groups = {(j,) for j in range(len(tracked))} | {tuple(range(len(tracked)))}
@@ -159,7 +161,7 @@ def _suspects(streams: Streams, rod: Rod, seen: Sightings) -> list[tuple[int, ..
     ]
 
 
-def _tried(streams: Streams, rod: Rod, seen: Sightings, group: tuple[int, ...]) -> list[_Judged]:
+def _tried(streams: Streams, rod: Rod, seen: TrackedPoses, group: tuple[int, ...]) -> list[_Judged]:
     """The corrections of a group of streams that look best at first, judged by refitted shapes.
 
     At first each is judged by the shapes that fit the other streams, or where these are too few to
@@ -179,7 +181,7 @@ def _tried(streams: Streams, rod: Rod, seen: Sightings, group: tuple[int, ...]) 
         fit = rod.seen_by(shapes, tried)
     else:
         some = np.linspace(0, len(seen.place) - 1, _FEW).round().astype(int)
-        few = Sightings(*(a[some] for a in (seen.place, seen.pose, seen.weight)))
+        few = TrackedPoses(*(a[some] for a in (seen.place, seen.pose, seen.weight)))
         tried = _corrected(few, group, chosen, frame)
         fit = rod.fit(tried, _QUICK)
     coarse = _judgements(fit, tried, chosen, group)
@@ -189,9 +191,9 @@ def _tried(streams: Streams, rod: Rod, seen: Sightings, group: tuple[int, ...]) 
 
 
 def _corrected(
-    seen: Sightings, group: tuple[int, ...], chosen: Sequence[Correction], frame: Array
-) -> Sightings:
-    """Sightings with each correction of a group of streams, one after the other."""
+    seen: TrackedPoses, group: tuple[int, ...], chosen: Sequence[Correction], frame: Array
+) -> TrackedPoses:
+    """Tracked poses with each correction of a group of streams, one after the other."""
     batch, columns = [], list(group)
     for correction in chosen:
         place, pose = seen.place.copy(), seen.pose.copy()
@@ -203,7 +205,7 @@ def _corrected(
 
 
 def _judgements(
-    fit: Fit, tried: Sightings, chosen: Sequence[Correction], group: tuple[int, ...]
+    fit: Fit, tried: TrackedPoses, chosen: Sequence[Correction], group: tuple[int, ...]
 ) -> list[_Judged]:
     miss, effort = _judge(fit, tried, len(chosen))
     return [

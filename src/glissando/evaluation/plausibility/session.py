@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from glissando.evaluation.plausibility.shape import Sightings
+from glissando.evaluation.plausibility.shape import TrackedPoses
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
@@ -47,7 +47,7 @@ class Streams:
         """The pose of the frame that a stream came in."""
         return self.frames.get(r.name, np.eye(4))
 
-    def moments(self, count: int = _MOMENTS) -> tuple[Array, Sightings]:
+    def moments(self, count: int = _MOMENTS) -> tuple[Array, TrackedPoses]:
         """Times (B,) spread over the session, and what each tracked stream saw at them."""
         tracked = self.tracked
         spans = np.array([[r.time.min(), r.time.max()] for r in tracked])
@@ -56,7 +56,7 @@ class Streams:
             first, last = spans[:, 0].min(), spans[:, 1].max()
         time = np.linspace(first, last, count + 2)[1:-1]
         seen = [sight(r, time) for r in tracked]
-        return time, Sightings(*(np.stack(part, axis=1) for part in zip(*seen, strict=True)))
+        return time, TrackedPoses(*(np.stack(part, axis=1) for part in zip(*seen, strict=True)))
 
 
 def sight(r: Readings, time: Array) -> tuple[Array, Array, Array]:

@@ -24,7 +24,7 @@ _AXES = np.stack([se3.hat3(-axis) for axis in np.eye(3)])  # of turns, on each b
 
 
 @dataclass(frozen=True)
-class Sightings:
+class TrackedPoses:
     """Tracked poses of J streams at B moments.
 
     Attributes:
@@ -37,16 +37,16 @@ class Sightings:
     pose: Array
     weight: Array
 
-    def without(self, streams: list[int]) -> Sightings:
+    def without(self, streams: list[int]) -> TrackedPoses:
         """The same with some streams unseen."""
         weight = self.weight.copy()
         weight[:, streams] = 0.0
         return replace(self, weight=weight)
 
-    def joined(self, others: list[Sightings]) -> Sightings:
+    def joined(self, others: list[TrackedPoses]) -> TrackedPoses:
         """These moments, then those of others."""
         every = (self, *others)
-        return Sightings(
+        return TrackedPoses(
             *(np.concatenate([getattr(s, n) for s in every]) for n in ("place", "pose", "weight"))
         )
 
@@ -93,7 +93,7 @@ class Rod:
             out[np.ix_(at, at)] = np.linalg.inv(std**2 * (1.0 + 1.5 * walk))
         return out
 
-    def fit(self, seen: Sightings, rounds: int = ROUNDS) -> Fit:
+    def fit(self, seen: TrackedPoses, rounds: int = ROUNDS) -> Fit:
         """The shapes that fit sightings best, by damped Gauss–Newton steps."""
         x = np.zeros((len(seen.place), len(self.information)))
         damping = np.full(len(x), 1e-2)
@@ -124,7 +124,7 @@ class Rod:
         effort = np.einsum("bi,ij,bj->b", x, self.information, x)
         return Fit(x, self.missed(pose, seen), effort)
 
-    def seen_by(self, fit: Fit, seen: Sightings) -> Fit:
+    def seen_by(self, fit: Fit, seen: TrackedPoses) -> Fit:
         """The same shapes, judged by other sightings at the same moments, which may repeat."""
         times = len(seen.place) // len(fit.x)
         x = np.tile(fit.x, (times, 1))
@@ -132,7 +132,7 @@ class Rod:
         return Fit(x, misses, np.tile(fit.effort, times))
 
     def _linearized(
-        self, x: Array, seen: Sightings, weight: Array
+        self, x: Array, seen: TrackedPoses, weight: Array
     ) -> tuple[Array, Array, Array, Array]:
         """Poses where streams sit, costs (B,), gradients and Hessians of the squared misses."""
         pose, slope = self._poses(x, seen.place)
@@ -180,7 +180,7 @@ class Rod:
         slope[..., 6:] += own.reshape(*place.shape, 6, -1)
         return pose, slope
 
-    def missed(self, pose: Array, seen: Sightings) -> Array:
+    def missed(self, pose: Array, seen: TrackedPoses) -> Array:
         """Misses (B, J, 2) of position and axes in their standard deviations; NaN where unseen."""
         off = np.linalg.norm((pose - seen.pose)[..., :3, 3], axis=-1) / (_POSITION * self.length)
         turned = np.linalg.norm((pose - seen.pose)[..., :3, :3], axis=-2) / _AXIS

@@ -28,7 +28,7 @@ _AXIAL = 0.97  # share of its motion that is along its axis; the tip of a curled
 
 
 @dataclass(frozen=True)
-class _Course:
+class _SlideMotion:
     """Motion of a sliding sensor over steps of time.
 
     Attributes:
@@ -113,7 +113,7 @@ def _unmoved(r: Readings, streams: Streams) -> Finding | None:
     )  # fmt: skip
 
 
-def _course(r: Readings, late: float = 0.0) -> _Course | None:
+def _course(r: Readings, late: float = 0.0) -> _SlideMotion | None:
     """The course of a stream, its slide read `late` seconds earlier."""
     order = np.argsort(r.time, kind="stable")
     time, place, pose = r.time[order], r.arclength[order], as_poses(r)[order]
@@ -135,7 +135,7 @@ def _course(r: Readings, late: float = 0.0) -> _Course | None:
     count = int(np.clip(np.ptp(time) * _DRIFT, 4, 12))
     x = 2.0 * (time[middle] - time[0]) / max(np.ptp(time), 1e-9) - 1.0
     drift = np.polynomial.chebyshev.chebvander(x, count - 1) * span[:, None]
-    return _Course(moved, pose[middle, :3, :3], travel, drift)
+    return _SlideMotion(moved, pose[middle, :3, :3], travel, drift)
 
 
 def _judged(r: Readings, frame: Array) -> Finding | None:
@@ -233,7 +233,7 @@ def _late(r: Readings, left: float) -> Finding | None:
 
 
 def _explained(
-    r: Readings, course: _Course, rotation: Array, moved: Array, left: float
+    r: Readings, course: _SlideMotion, rotation: Array, moved: Array, left: float
 ) -> Finding | None:
     """The finding that another reading of the columns makes motion follow the slide."""
     pose = se3.pose(rotation, np.zeros(3))

@@ -17,7 +17,7 @@ from glissando.hardware.capture.child_process import blocked_signals
 from glissando.hardware.drivers import Aurora
 from glissando.hardware.drivers.aurora_reply import Frame
 from glissando.hardware.drivers.aurora_setup import Tool
-from glissando.hardware.drivers.link import SilentError
+from glissando.hardware.drivers.link import DeviceTimeoutError
 
 _PATIENCE = 0.5  # s without a frame after which the process looks whether anybody still reads
 _START, _END = 60.0, 5.0  # s the process may take to begin, beside the tracker's, and to end
@@ -99,7 +99,7 @@ def _serve(address: str, baud: int, pipe: Connection) -> None:
                 pipe.send(tracker.tools)
                 while not pipe.poll():
                     frame = None
-                    with suppress(SilentError):
+                    with suppress(DeviceTimeoutError):
                         frame = tracker.read(_PATIENCE)
                     pipe.send((frame, tracker.tools, dict(tracker.counts)))
         except DeviceError as problem:

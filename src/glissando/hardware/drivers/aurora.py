@@ -20,7 +20,7 @@ from glissando.hardware.drivers.aurora_protocol import (
 )
 from glissando.hardware.drivers.aurora_reply import Frame, GarbledError, RefusedError, Reply
 from glissando.hardware.drivers.clock import ClockFit
-from glissando.hardware.drivers.link import Link, LostError, SilentError
+from glissando.hardware.drivers.link import ConnectionLostError, DeviceTimeoutError, Link
 
 _WITH_OUT_OF_VOLUME = "0801"
 _FIRMWARE_WITHOUT_BX = ("AURORA Rev 007", "AURORA Rev 008")
@@ -112,8 +112,8 @@ class Aurora:
             timeout: Seconds to wait, without the time to connect again.
 
         Raises:
-            SilentError: No frame came in time.
-            LostError: The link is lost and does not come back.
+            DeviceTimeoutError: No frame came in time.
+            ConnectionLostError: The link is lost and does not come back.
         """
         if self._link is None:
             raise DeviceError(
@@ -124,7 +124,7 @@ class Aurora:
             self._wait_until_due()
             try:
                 reply = self._poll()
-            except LostError as loss:
+            except ConnectionLostError as loss:
                 self._connect_again(loss)
                 deadline = time.monotonic() + timeout
                 continue
@@ -132,7 +132,7 @@ class Aurora:
             if frame:
                 return frame
         counted = ", ".join(f"{what}: {n}" for what, n in self.counts.items() if n) or "no reply"
-        raise SilentError(
+        raise DeviceTimeoutError(
             f"The Aurora at {self.address} had no new frame for {timeout:.3g} s ({counted}); "
             f"check that a coil is plugged in."
         )
@@ -156,7 +156,7 @@ class Aurora:
         self._heard, self._status, self._absent = time.monotonic(), 0, frozenset()
         self._stale = None
 
-    def _connect_again(self, loss: LostError) -> None:
+    def _connect_again(self, loss: ConnectionLostError) -> None:
         deadline = time.monotonic() + self._reconnect
         why: DeviceError = loss
         self.close()
@@ -171,7 +171,7 @@ class Aurora:
             self.clock.restart()
             self._last = -1
             return
-        raise LostError(f"{why} It did not come back within {self._reconnect:g} s.")
+        raise ConnectionLostError(f"{why} It did not come back within {self._reconnect:g} s.")
 
     def _wait_until_due(self) -> None:
         """Sleep until shortly before the next frame can be ready.
@@ -188,16 +188,16 @@ class Aurora:
         time.sleep(min(wait, self._period) if wait > 0.0 else self._period / 4 if late else _PAUSE)
 
     def _poll(self) -> Reply | None:
-        """One reply, or None when it was damaged or refused for the moment. Raises LostError."""
+        """One reply, or None when it was damaged or refused for now. Raises ConnectionLostError."""
         try:
             reply = self._request()
-        except (GarbledError, SilentError) as problem:
+        except (GarbledError, DeviceTimeoutError) as problem:
             if isinstance(problem, GarbledError):
                 self.counts["bad_crc"] += 1
             else:
                 self.counts["silent"] += 1
             if time.monotonic() - self._heard > _SILENCE:
-                raise LostError(f"The Aurora has fallen silent: {problem}") from None
+                raise ConnectionLostError(f"The Aurora has fallen silent: {problem}") from None
             return None
         except RefusedError as refusal:
             self._refused(refusal)
@@ -215,12 +215,12 @@ class Aurora:
             return parse_bx(head + link.read(bx_length(head), _REST + wire))
         raw = head + (b"" if b"\r" in head else link.read_until(b"\r", _REST + wire))
         if raw.startswith(b"RESET") and parse_ascii(raw):
-            raise LostError("The Aurora was reset.")
+            raise ConnectionLostError("The Aurora was reset.")
         return parse_tx(raw)
 
     def _refused(self, refusal: RefusedError) -> None:
         if refusal.code in _TELLS_STATE:
-            raise LostError(f"The Aurora has stopped tracking. {refusal}")
+            raise ConnectionLostError(f"The Aurora has stopped tracking. {refusal}")
         if refusal.code in _GARBLED:
             self.counts["bad_crc"] += 1
             return
@@ -282,5 +282,5 @@ class Aurora:
             self.tools, faulty = setup.enable_tools(link, self._srom)
             setup.begin_tracking(link)
         except DeviceError as problem:
-            raise LostError(f"After a coil was plugged in or out: {problem}") from None
+            raise ConnectionLostError(f"After a coil was plugged in or out: {problem}") from None
         self.counts["faulty"] += len(faulty)

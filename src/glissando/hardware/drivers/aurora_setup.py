@@ -10,7 +10,7 @@ from pathlib import Path
 from glissando.errors import DeviceError
 from glissando.hardware.drivers.aurora_protocol import frame_command, parse_ascii, parse_handles
 from glissando.hardware.drivers.aurora_reply import GarbledError, RefusedError
-from glissando.hardware.drivers.link import Link, SilentError
+from glissando.hardware.drivers.link import DeviceTimeoutError, Link
 
 BAUD_CODES = {9600: "0", 14400: "1", 19200: "2", 38400: "3", 57600: "4", 115200: "5"}
 BAUD_CODES |= {921600: "6", 1228739: "7", 230400: "A"}
@@ -47,14 +47,14 @@ def ask(link: Link, command: str, timeout: float = _REPLY, tries: int = _TRIES) 
 
     Raises:
         GarbledError: The last reply was damaged.
-        SilentError: The last reply did not come.
+        DeviceTimeoutError: The last reply did not come.
         RefusedError: The device refused.
     """
     for left in reversed(range(tries)):
         link.write(frame_command(command))
         try:
             return parse_ascii(link.read_until(b"\r", timeout))
-        except (GarbledError, SilentError):
+        except (GarbledError, DeviceTimeoutError):
             if not left:
                 raise
     raise AssertionError("at least one try")
@@ -103,13 +103,13 @@ def _reset(link: Link, patience: float) -> None:
             continue  # the end of something older
         except RefusedError:  # of the lone carriage return, or of RESET itself
             deadline = min(deadline, time.monotonic() + _REFUSED)
-        except SilentError:
+        except DeviceTimeoutError:
             return  # INIT will show whether it lives
 
 
 def _speed_up(link: Link, baud: int) -> None:
     # A damaged reply may have come at either rate; the next command shows which.
-    with contextlib.suppress(GarbledError, SilentError):
+    with contextlib.suppress(GarbledError, DeviceTimeoutError):
         ask(link, f"COMM:{BAUD_CODES[baud]}0000", tries=1)
     time.sleep(_SETTLE)
     link.set_baud(baud)

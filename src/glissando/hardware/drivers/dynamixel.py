@@ -130,13 +130,13 @@ class Servo:
         except OSError:  # it is gone already
             self._port.is_open = False
 
-    def read(self, address: int, size: int, *, heed: bool = True) -> Answer:
+    def read(self, address: int, size: int, *, check_error: bool = True) -> Answer:
         """Read registers.
 
         Args:
             address: The first byte's.
             size: Number of bytes.
-            heed: Whether a pending hardware error raises DeviceError.
+            check_error: Whether a pending hardware error raises DeviceError.
         """
 
         def ask() -> tuple[list[int], int, int]:
@@ -144,15 +144,15 @@ class Servo:
             short = result == 0 and not error & ~_ALERT and len(data) != size
             return data, _CORRUPT if short else result, error
 
-        return self._asked(f"read {size} bytes at {address}", ask, heed=heed)
+        return self._asked(f"read {size} bytes at {address}", ask, check_error=check_error)
 
-    def write(self, address: int, *values: tuple[int, int], heed: bool = True) -> None:
+    def write(self, address: int, *values: tuple[int, int], check_error: bool = True) -> None:
         """Write registers.
 
         Args:
             address: The first byte's.
             values: Each (number, size in bytes), one after the other.
-            heed: Whether a pending hardware error raises DeviceError.
+            check_error: Whether a pending hardware error raises DeviceError.
         """
         data = b"".join((n % (1 << 8 * size)).to_bytes(size, "little") for n, size in values)
 
@@ -161,12 +161,14 @@ class Servo:
             return [], *send(self._port, self.identity, address, len(data), list(data))
 
         shown = ", ".join(str(number) for number, _ in values)
-        self._asked(f"write {shown} at {address}", ask, heed=heed)
+        self._asked(f"write {shown} at {address}", ask, check_error=check_error)
 
     def reboot(self) -> None:
         """Restart the servo, which clears hardware errors and loses the number of turns."""
         self._asked(
-            "reboot", lambda: ([], *self._handler.reboot(self._port, self.identity)), heed=False
+            "reboot",
+            lambda: ([], *self._handler.reboot(self._port, self.identity)),
+            check_error=False,
         )
         self._clock = None
 
@@ -184,7 +186,7 @@ class Servo:
                 f"the XL430-W250, {XL430}."
             )
         for address in (TORQUE, WATCHDOG):
-            self.write(address, (0, 1), heed=False)
+            self.write(address, (0, 1), check_error=False)
         # Drive mode 0: not reversed, profiles by speed, no torque by a goal alone. With a homing
         # offset some firmware runs away when its watchdog bites (reported to DynamixelSDK in 2022).
         wanted = (
@@ -193,19 +195,19 @@ class Servo:
             (HOMING_OFFSET, 0, 4),
         )
         for address, value, size in wanted:
-            if self.read(address, size, heed=False).signed(0, size) != value:
-                self.write(address, (value, size), heed=False)
+            if self.read(address, size, check_error=False).signed(0, size) != value:
+                self.write(address, (value, size), check_error=False)
 
-    def state(self, *, heed: bool = True) -> State:
+    def state(self, *, check_error: bool = True) -> State:
         """Clock, load, velocity and position, in one read.
 
         An answer whose tick is not from now answers an earlier request, and the request is
         repeated; when that does not help, the servo has restarted and DeviceError is raised.
         """
-        if heed and self.aborted:
+        if check_error and self.aborted:
             raise DeviceError("The motion of the stage was aborted.")
         for _ in range(_ATTEMPTS):
-            answer = self.read(TICK, 16, heed=heed)
+            answer = self.read(TICK, 16, check_error=check_error)
             tick = int.from_bytes(answer.data[:2], "little")
             if (now := self._unwrapped_tick(tick, answer)) is not None:
                 self._clock = now, answer
@@ -219,16 +221,18 @@ class Servo:
             f"its position with it. Check the supply, then home again."
         )
 
-    def aim(self, goal: int, *, speed: int, acceleration: int = 0, heed: bool = True) -> None:
+    def aim(
+        self, goal: int, *, speed: int, acceleration: int = 0, check_error: bool = True
+    ) -> None:
         """Send a goal with its limits, in one packet and in the servo's units.
 
         Args:
             goal: Position, ticks.
             speed: Largest speed; 0 is as fast as it can.
             acceleration: Its acceleration; 0 changes speed at once.
-            heed: Whether a pending hardware error raises DeviceError.
+            check_error: Whether a pending hardware error raises DeviceError.
         """
-        self.write(PROFILE, (acceleration, 4), (speed, 4), (goal, 4), heed=heed)
+        self.write(PROFILE, (acceleration, 4), (speed, 4), (goal, 4), check_error=check_error)
 
     def power(self) -> None:
         """Switch the torque on, and check: some firmware miscounts turns then."""
@@ -246,22 +250,22 @@ class Servo:
     def watchdog_stopped(self) -> bool:
         """Whether the watchdog has stopped it; False also when it does not answer."""
         try:
-            return self.read(WATCHDOG, 1, heed=False).signed(0, 1) < 0
+            return self.read(WATCHDOG, 1, check_error=False).signed(0, 1) < 0
         except DeviceError:
             return False
 
     def halt(self) -> bool:
         """Hold the position, or else switch the torque off; returns whether it holds."""
         try:
-            self.aim(self.state(heed=False).position, speed=0, heed=False)
+            self.aim(self.state(check_error=False).position, speed=0, check_error=False)
             held = True
         except NoAnswerError:
             held = False
         except DeviceError:
             held = self.watchdog_stopped()  # then goals are refused, and it stands already
         if not held:
-            self.write(TORQUE, (0, 1), heed=False)
-        self.write(WATCHDOG, (0, 1), heed=False)  # not before it stands
+            self.write(TORQUE, (0, 1), check_error=False)
+        self.write(WATCHDOG, (0, 1), check_error=False)  # not before it stands
         return held
 
     def _unwrapped_tick(self, tick: int, answer: Answer) -> int | None:
@@ -276,7 +280,7 @@ class Servo:
         return now if least - slack <= 1e-3 * (now - last) <= most + slack else None
 
     def _asked(
-        self, what: str, ask: Callable[[], tuple[list[int], int, int]], *, heed: bool = True
+        self, what: str, ask: Callable[[], tuple[list[int], int, int]], *, check_error: bool = True
     ) -> Answer:
         """The first sound answer of a few attempts."""
         for _ in range(_ATTEMPTS):
@@ -290,7 +294,7 @@ class Servo:
                 ) from None
             answered = monotonic()
             if result == 0 and error & ~_ALERT != _RESEND:
-                self._require_sound(what, error, heed=heed)
+                self._require_sound(what, error, check_error=check_error)
                 return Answer(bytes(data), sent, answered)
             kinds = {_NO_REPLY: "missing", _CORRUPT: "corrupt"}
             self.counts["refused" if result == 0 else kinds.get(result, "failed")] += 1
@@ -300,9 +304,9 @@ class Servo:
             f"row at {self.baud} baud (could not {what}); check its power, cable, baud rate and id."
         )
 
-    def _require_sound(self, what: str, error: int, *, heed: bool) -> None:
-        if error & _ALERT and heed:
-            bits = self.read(HARDWARE_ERROR, 1, heed=False).data[0]
+    def _require_sound(self, what: str, error: int, *, check_error: bool) -> None:
+        if error & _ALERT and check_error:
+            bits = self.read(HARDWARE_ERROR, 1, check_error=False).data[0]
             raise DeviceError(
                 f"The servo at {self.address} has switched off: {hardware_error(bits)}. Then "
                 f"reboot() it and home again."

@@ -13,7 +13,7 @@ from time import monotonic
 
 from glissando.errors import DeviceError
 from glissando.hardware.drivers.gcode_stage import GcodeStage, parse_status
-from glissando.hardware.drivers.link import Link, SilentError
+from glissando.hardware.drivers.link import DeviceTimeoutError, Link
 from glissando.hardware.drivers.position_slide import StandingError
 
 _RESET = b"\x18"
@@ -52,7 +52,7 @@ class GcodeLine:
             end = monotonic() + _BOOT
             while not self._line(end - monotonic()).lower().startswith(_BANNER):
                 pass
-        except SilentError:
+        except DeviceTimeoutError:
             self.close()
             raise DeviceError(
                 f"No GRBL controller answers at {address} at {stage.baud} baud; check power, "
@@ -84,7 +84,7 @@ class GcodeLine:
                     self._require_no_alarm(line)
                 state, places = parse_status(line)
                 return state, places[self._axis]
-            except SilentError:
+            except DeviceTimeoutError:
                 self._counts["missing"] += 1
             except StandingError:
                 raise
@@ -102,7 +102,7 @@ class GcodeLine:
         while True:
             try:
                 line = self._line(end - monotonic())
-            except SilentError:
+            except DeviceTimeoutError:
                 raise DeviceError(
                     f"The controller at {self._address} did not answer {command!r} within "
                     f"{within:g} s; check the cable."
@@ -129,11 +129,11 @@ class GcodeLine:
             )
 
     def _line(self, timeout: float) -> bytes:
-        """The next line that is not empty. Raises SilentError, however much comes after that."""
+        """The next line that is not empty. Raises DeviceTimeoutError, whatever comes later."""
         end = monotonic() + timeout
         while True:
             if monotonic() > end:
-                raise SilentError(f"{self._address} did not answer in time.")
+                raise DeviceTimeoutError(f"{self._address} did not answer in time.")
             line = self._link.read_until(b"\n", max(end - monotonic(), 0.0)).strip()
             if line:
                 return line

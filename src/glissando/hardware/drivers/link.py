@@ -20,11 +20,11 @@ _FLOOD = 1 << 20  # bytes between two requests, which no device sends
 _BREAK = 0.3  # s that a BREAK lasts
 
 
-class LostError(DeviceError):
+class ConnectionLostError(DeviceError):
     """The link to a device is gone: unplugged, off, or closed at the other end."""
 
 
-class SilentError(DeviceError):
+class DeviceTimeoutError(DeviceError):
     """A device did not answer in time."""
 
 
@@ -46,7 +46,7 @@ class Link:
 
     Raises:
         DeviceError: The address cannot be opened.
-        LostError: The link breaks; from any method.
+        ConnectionLostError: The link breaks; from any method.
     """
 
     def __init__(self, address: str, baud: int = 9600):
@@ -62,7 +62,7 @@ class Link:
             while came := self._wire.receive(0.0):
                 dropped += len(came)
                 if dropped > _FLOOD:
-                    raise LostError(
+                    raise ConnectionLostError(
                         f"{self.address} sends without end what nobody asked for; give the address "
                         f"of the device."
                     )
@@ -70,7 +70,7 @@ class Link:
         self._fresh = True
 
     def read(self, count: int, timeout: float) -> bytes:
-        """Exactly `count` bytes. Raises SilentError unless they come within `timeout` s."""
+        """Exactly `count` bytes. Raises DeviceTimeoutError unless they come within `timeout` s."""
         deadline = time.monotonic() + timeout
         while len(self._held) < count:
             self._wait(deadline, timeout)
@@ -78,7 +78,7 @@ class Link:
         return out
 
     def read_until(self, end: bytes, timeout: float, most: int = 8192) -> bytes:
-        """Bytes up to and with `end`, or `most` of them. Raises SilentError."""
+        """Bytes up to and with `end`, or `most` of them. Raises DeviceTimeoutError."""
         deadline = time.monotonic() + timeout
         while end not in self._held and len(self._held) < most:
             self._wait(deadline, timeout)
@@ -94,7 +94,7 @@ class Link:
         if came and self._fresh:
             self.arrived, self._fresh = time.monotonic(), False
         if not came and left <= 0.0:
-            raise SilentError(
+            raise DeviceTimeoutError(
                 f"{self.address} did not answer within {timeout:.3g} s ({len(self._held)} bytes "
                 f"came); check that it is switched on and that nothing else uses it."
             )
@@ -136,7 +136,7 @@ class Link:
         try:
             yield
         except lost_port() as problem:
-            raise LostError(
+            raise ConnectionLostError(
                 f"The link to {self.address} is lost ({problem}); plug the device in again."
             ) from None
 

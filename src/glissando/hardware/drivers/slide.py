@@ -65,7 +65,7 @@ class Slide:
         try:
             self._servo.halt()
             if not self.stage.hold:
-                self._servo.write(dynamixel.TORQUE, (0, 1), heed=False)
+                self._servo.write(dynamixel.TORQUE, (0, 1), check_error=False)
         except DeviceError:
             if problem is None:  # else the first sentence is the better one
                 raise
@@ -319,7 +319,7 @@ class Slide:
         if isinstance(problem, NoAnswerError):  # it may hear us all the same: ask nothing more
             self._zero = None
             with suppress(DeviceError):
-                servo.write(dynamixel.TORQUE, (0, 1), heed=False)
+                servo.write(dynamixel.TORQUE, (0, 1), check_error=False)
             return
         stopped = isinstance(problem, DeviceError) and servo.watchdog_stopped()
         with suppress(DeviceError):

@@ -71,7 +71,7 @@ class Endpoint:
     def __enter__(self) -> Self:
         with socket.create_server(("127.0.0.1", 0)) as door:
             port, token = door.getsockname()[1], secrets.token_bytes(16)
-            command = [sys.executable, "-m", "glissando.hardware.openigtlink.exchange"]
+            command = [sys.executable, "-m", "glissando.hardware.openigtlink.peer_server"]
             # A session of its own: Ctrl-C at the terminal is for the estimator alone.
             self._process = subprocess.Popen(
                 [*command, str(port), self.text, self._mode],

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from glissando.errors import SimulationError
 from glissando.hardware.simulated_devices.aurora_device import Device, Nature, Sensing
-from glissando.hardware.simulated_devices.faults import AuroraFaults, Dice, parse_faults
+from glissando.hardware.simulated_devices.faults import AuroraFaults, FaultDraws, parse_faults
 from glissando.hardware.simulated_devices.scene import Scene
 from glissando.hardware.simulated_devices.serving import (
     Serving,
@@ -56,8 +56,8 @@ def _serve(options: argparse.Namespace) -> None:
     sensing = Sensing(scene, travel, born, epoch, options.rate)
     if scene.coils:
         sensing.values(0)  # compiles what it needs before anybody waits for a frame
-    device = Device(scene, sensing, Dice(faults, scene.seed), nature)
-    serving = Serving(device.hear, device.cut)
+    device = Device(scene, sensing, FaultDraws(faults, scene.seed), nature)
+    serving = Serving(device.receive, device.cut)
     addresses = []
     if options.tcp is not None:
         addresses.append(serving.listen(options.tcp))

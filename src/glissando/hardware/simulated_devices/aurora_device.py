@@ -18,7 +18,7 @@ from glissando.hardware.simulated_devices.aurora_wire import (
     text_reply,
     tx_reply,
 )
-from glissando.hardware.simulated_devices.faults import Dice
+from glissando.hardware.simulated_devices.faults import FaultDraws
 from glissando.hardware.simulated_devices.scene import Scene
 from glissando.hardware.simulated_devices.travel import Travel
 from glissando.simulation.imperfections import SmoothField
@@ -97,7 +97,7 @@ class Sensing:
 class Device:
     """The device's state machine. Times are of time.monotonic()."""
 
-    def __init__(self, scene: Scene, sensing: Sensing, dice: Dice, nature: Nature):
+    def __init__(self, scene: Scene, sensing: Sensing, dice: FaultDraws, nature: Nature):
         self._sensing, self._dice, self._nature = sensing, dice, nature
         faults = dice.faults
         without = {int(faults.srom), int(faults.bad_srom)}
@@ -115,7 +115,7 @@ class Device:
         self._initialised, self._tracking = initialised, False
         self._ports.clear()
 
-    def hear(self, held: bytearray, now: float) -> list[tuple[float, bytes]]:
+    def receive(self, held: bytearray, now: float) -> list[tuple[float, bytes]]:
         """Take whole commands out of what has come; when (s) to send what."""
         answers = []
         while (end := held.find(b"\r")) >= 0:

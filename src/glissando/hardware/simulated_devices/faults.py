@@ -83,7 +83,7 @@ class AuroraFaults:
 
 
 @dataclass(frozen=True)
-class Dice:
+class FaultDraws:
     """Chances that depend on the seed, on what they are for, and on which time it is.
 
     Attributes:

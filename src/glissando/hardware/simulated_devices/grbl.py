@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from glissando.hardware.simulated_devices.faults import Dice, parse_faults
+from glissando.hardware.simulated_devices.faults import FaultDraws, parse_faults
 from glissando.hardware.simulated_devices.serving import (
     add_axis_options,
     device_parser,
@@ -102,7 +102,7 @@ class Grbl:
             if not self.jogs:
                 self.place, self.speed, self.state = goal, 0.0, "Idle"
 
-    def hear(self, data: bytes, now: float) -> list[bytes]:
+    def receive(self, data: bytes, now: float) -> list[bytes]:
         """Replies to bytes of the host."""
         self.advance(now)
         out = []
@@ -173,13 +173,13 @@ def _serve(options: argparse.Namespace) -> None:
     state = "Alarm" if options.locked else "Idle"
     device = Grbl(tuple(options.limits), place=options.start, state=state)
     faults = parse_faults(GrblFaults, options.faults)
-    dice, sent = Dice(faults, options.seed), 0
+    dice, sent = FaultDraws(faults, options.seed), 0
 
-    def hear(held: bytearray, now: float) -> list[tuple[float, bytes]]:
+    def receive(held: bytearray, now: float) -> list[tuple[float, bytes]]:
         nonlocal sent
         data, out = bytes(held), []
         held.clear()
-        for reply in device.hear(data, now) if sent < faults.dead else []:
+        for reply in device.receive(data, now) if sent < faults.dead else []:
             if sent == faults.alarm:
                 device.jogs.clear()
                 device.speed, device.state, reply = 0.0, "Alarm", b"ALARM:1\r\n" + reply
@@ -190,7 +190,7 @@ def _serve(options: argparse.Namespace) -> None:
             sent += 1
         return out
 
-    serve_axis(hear, lambda now: 1e-3 * (device.advance(now) + device.lost), options)
+    serve_axis(receive, lambda now: 1e-3 * (device.advance(now) + device.lost), options)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -23,7 +23,7 @@ from glissando.hardware.simulated_devices.travel import MESSAGE
 
 _PERIOD = 0.005  # s between datagrams of an axis
 
-Hear = Callable[[bytearray, float], list[tuple[float, bytes]]]
+Receive = Callable[[bytearray, float], list[tuple[float, bytes]]]
 """Takes whole messages out of a buffer at a time; returns what to send and when, in seconds."""
 
 
@@ -38,11 +38,11 @@ class Serving:
 
     def __init__(
         self,
-        hear: Hear = lambda held, now: [],
+        receive: Receive = lambda held, now: [],
         cut: Callable[[float], bool] = lambda now: False,
         beat: Callable[[float], float] = lambda now: float("inf"),
     ):
-        self._hear, self._cut, self._beat = hear, cut, beat
+        self._hear, self._cut, self._beat = receive, cut, beat
         self._selector = selectors.DefaultSelector()
         self._due: list[tuple[float, int, Callable[[bytes], object], bytes]] = []
         self._order = count()
@@ -215,7 +215,9 @@ def require_axis(start: float, ends: Sequence[float], unit: str) -> None:
         )
 
 
-def serve_axis(hear: Hear, travel: Callable[[float], float], options: argparse.Namespace) -> None:
+def serve_axis(
+    receive: Receive, travel: Callable[[float], float], options: argparse.Namespace
+) -> None:
     """Serve an axis on a pseudo-terminal and send its true travel, m at a time, to listeners."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
 
@@ -226,7 +228,7 @@ def serve_axis(hear: Hear, travel: Callable[[float], float], options: argparse.N
                     sender.sendto(datagram, listener)
             return now + _PERIOD
 
-        serving = Serving(hear, beat=beat)
+        serving = Serving(receive, beat=beat)
         serving.run(serving.open_terminal(options.pty))
 
 

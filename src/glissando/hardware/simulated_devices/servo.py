@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from glissando.errors import SimulationError
-from glissando.hardware.simulated_devices.faults import Dice, parse_faults
+from glissando.hardware.simulated_devices.faults import FaultDraws, parse_faults
 from glissando.hardware.simulated_devices.screw import TICKS, Screw
 from glissando.hardware.simulated_devices.serving import (
     add_axis_options,
@@ -60,10 +60,10 @@ class Line:
     def __init__(self, servo: Xl430, faults: ServoFaults | None = None, seed: int = 0) -> None:
         self.servo, self.sent = servo, 0
         self.faults = ServoFaults() if faults is None else faults
-        self._dice = Dice(self.faults, seed)
+        self._dice = FaultDraws(self.faults, seed)
         self._last = 0.0  # s when the answer before arrives
 
-    def hear(self, held: bytearray, now: float) -> list[tuple[float, bytes]]:
+    def receive(self, held: bytearray, now: float) -> list[tuple[float, bytes]]:
         """Take bytes from the host; returns when (s) what of each answer arrives."""
         data, answers = bytes(held), []
         held.clear()
@@ -114,7 +114,7 @@ def _serve(options: argparse.Namespace) -> None:
     tick = int(random.integers(TICK_WRAP))
     servo = Xl430(screw, now=time.monotonic(), clock=options.clock, tick=tick)
     line = Line(servo, parse_faults(ServoFaults, options.faults), options.seed)
-    serve_axis(line.hear, servo.advance, options)
+    serve_axis(line.receive, servo.advance, options)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

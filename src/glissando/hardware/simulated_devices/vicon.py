@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from glissando.errors import SimulationError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.hardware.simulated_devices.faults import Dice, parse_faults
+from glissando.hardware.simulated_devices.faults import FaultDraws, parse_faults
 from glissando.hardware.simulated_devices.scene import Scene
 from glissando.hardware.simulated_devices.serving import (
     Serving,
@@ -94,7 +94,7 @@ class Sender:
                     f"{arclength:g} lies outside the scene, {low:g} to {high:g}; give an arclength "
                     f"inside."
                 )
-        self._dice = Dice(MocapFaults() if faults is None else faults, seed)
+        self._dice = FaultDraws(MocapFaults() if faults is None else faults, seed)
         self._rng = np.random.default_rng(seed)
         self._late: list[bytes] = []
 

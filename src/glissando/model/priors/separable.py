@@ -18,6 +18,7 @@ from glissando._kernels import stationary as kernels
 from glissando._kernels.arrays import whole
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
+from glissando.model.field_checks import FieldChecks
 from glissando.model.grid import Cells, Grid, Index
 from glissando.model.interpolation import Interpolation, Points
 from glissando.model.priors.intervals import (
@@ -43,7 +44,6 @@ from glissando.model.priors.stationary import (
 )
 from glissando.model.priors.transitions import bridge, process_covariances
 from glissando.model.state import POSE, STRAIN, State
-from glissando.model.stated import Stated
 from glissando.model.table import Table, pose_table
 
 _HARDLY = 1e-30  # of a density, where none counts but their ratio does
@@ -58,7 +58,7 @@ class BaseVariance:
 
     def __post_init__(self) -> None:
         for name in ("pose", "strain"):
-            Stated(self).numbers(name, (6,), above=0.0)
+            FieldChecks(self).numbers(name, (6,), above=0.0)
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class SeparablePrior:
     kernels: ClassVar = "intervals", "matern", "stationary", "transitions"
 
     def __post_init__(self) -> None:
-        stated = Stated(self)
+        stated = FieldChecks(self)
         stated.rest(stated.segments())
         stated.numbers("rest_slope", (6,), (self.joints.size + 1, 6))
         stated.pose("base_pose")

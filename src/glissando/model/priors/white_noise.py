@@ -20,6 +20,7 @@ from glissando._kernels.arrays import whole
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
+from glissando.model.field_checks import FieldChecks
 from glissando.model.grid import Grid, Index
 from glissando.model.interpolation import Interpolation, Points
 from glissando.model.priors.prior import by_interval, interval_strain, is_soft, soften
@@ -32,7 +33,6 @@ from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import static_factors
 from glissando.model.priors.steps import ARCLENGTH, TIME, Direction, weighted_steps
 from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
-from glissando.model.stated import Stated
 from glissando.model.table import Table, pose_table
 
 _WOUND = 300.0  # rad of winding: with more, a factor of the information loses its last digits
@@ -53,7 +53,7 @@ class BaseDensity:
 
     def __post_init__(self) -> None:
         for name in ("pose", "strain", "velocity"):
-            Stated(self).numbers(name, (6,), above=0.0)
+            FieldChecks(self).numbers(name, (6,), above=0.0)
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class WhiteNoisePrior:
     pace_times: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        stated = Stated(self)
+        stated = FieldChecks(self)
         stated.segments()
         stated.rest(1)
         object.__setattr__(self, "rest_strain", self.rest_strain.reshape(6))

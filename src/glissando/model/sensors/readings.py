@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
-from glissando.model.brief import Brief
 from glissando.model.grid import Grid
 from glissando.model.noise import Loss, covariance_matrix
 from glissando.model.sensors.given_arrays import numbers, require_rotations
+from glissando.model.short_repr import ShortRepr
 from glissando.model.state import DOF, State
 from glissando.model.tendons.channel import Channel
 
@@ -36,7 +36,7 @@ SENSORS: dict[str, type[Readings]] = {}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Readings(Brief):
+class Readings(ShortRepr):
     """M readings of one sensor, the base class of all sensors.
 
     A subclass `class Mine(Readings, kind="mine")` declares the sensor: `kind` is its name in

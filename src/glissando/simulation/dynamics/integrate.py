@@ -19,10 +19,10 @@ from glissando.errors import NoShapeError, SimulationError
 from glissando.geometry.se3 import Array
 from glissando.simulation.dynamics.collocation import METHODS, Collocation
 from glissando.simulation.dynamics.motion import DynamicMotion, Moment
-from glissando.simulation.dynamics.scenario import Acting, Scenario
+from glissando.simulation.dynamics.scenario import Scenario, ScenarioLoads
 from glissando.simulation.mesh import Mesh
 from glissando.simulation.rod import Loads, Rod, Tendon, require_possible
-from glissando.simulation.rod_equations import Balance, Instant, RodEquations
+from glissando.simulation.rod_equations import AppliedLoads, Balance, RodEquations
 from glissando.simulation.rod_mechanics import Matrices, energies, matrices, powers
 from glissando.simulation.statics import Equilibrium, settle
 
@@ -76,7 +76,7 @@ def simulate_motion(
 
     def first(mesh: Mesh) -> Equilibrium:
         equations = RodEquations.of(rod, tendons, mesh)
-        acting = Acting(scenario, equations)
+        acting = ScenarioLoads(scenario, equations)
         acting.take_hold(-1.0, np.zeros((mesh.edges.size - 1, 3)))
         return Equilibrium(equations, acting.at(0.0, -1.0))
 
@@ -85,7 +85,7 @@ def simulate_motion(
         mesh, start = shape.mesh, (shape.strain, np.zeros_like(shape.strain))
     elif mesh is None:
         raise SimulationError("A start has no mesh with an edge wherever something acts; give it.")
-    acting = Acting(scenario, RodEquations.of(rod, tendons, mesh))
+    acting = ScenarioLoads(scenario, RodEquations.of(rod, tendons, mesh))
     run = _Run(acting, METHODS[method], tolerance * rod.length, step)
     with one_thread():
         return run.through(duration, np.array(start[0]), np.array(start[1]))
@@ -121,7 +121,7 @@ def _require(
 class _Run:
     """One motion: its equations, method and what steps hand on to each other."""
 
-    acting: Acting
+    acting: ScenarioLoads
     method: Collocation
     tolerance: float  # m
     fixed: float | None
@@ -192,7 +192,7 @@ class _Run:
         self._refresh(at, instant)
         self.moments.append(self._moment(time, state, at, instant, None))
 
-    def _refresh(self, at: Balance, instant: Instant) -> None:
+    def _refresh(self, at: Balance, instant: AppliedLoads) -> None:
         self.slopes = matrices(self.acting.equations, at, instant)
         self.factors = {}
 
@@ -250,7 +250,7 @@ class _Run:
         return solved, error, self._moment(time + span, end, at, instant, work)
 
     def _newton(
-        self, instants: list[Instant], span: float, strain: Array, rate: Array
+        self, instants: list[AppliedLoads], span: float, strain: Array, rate: Array
     ) -> tuple[Array | None, Array, list[Balance], bool]:
         """Accelerations (s, G, 6) that balance the stages; None unless found; whether soon."""
         method, equations = self.method, self.acting.equations
@@ -320,7 +320,7 @@ class _Run:
         return self.size((value * span) ** 2 * error.reshape(first.shape))
 
     def _moment(
-        self, time: float, state: Array, at: Balance, instant: Instant, work: Array | None
+        self, time: float, state: Array, at: Balance, instant: AppliedLoads, work: Array | None
     ) -> Moment:
         total = np.zeros(3) if not self.moments else self.moments[-1].work
         return Moment(

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
-from glissando.simulation.dynamics.scenario import Acting
+from glissando.simulation.dynamics.scenario import ScenarioLoads
 from glissando.simulation.mesh import Mesh
 from glissando.simulation.rod import Rod
 from glissando.simulation.shape import Section
@@ -95,7 +95,7 @@ class DynamicMotion:
         begins: Which of the times begin a stretch after an event (K,).
     """
 
-    acting: Acting
+    acting: ScenarioLoads
     time: Array
     state: Array
     energies: Energies
@@ -104,7 +104,7 @@ class DynamicMotion:
     begins: Array
 
     @staticmethod
-    def of(acting: Acting, moments: list[Moment]) -> DynamicMotion:
+    def of(acting: ScenarioLoads, moments: list[Moment]) -> DynamicMotion:
         """The motion that consists of moments in order."""
         time = np.array([m.time for m in moments])
         energy, work = np.array([m.energy for m in moments]), np.array([m.work for m in moments])

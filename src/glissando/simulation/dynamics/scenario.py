@@ -12,7 +12,7 @@ from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
 from glissando.simulation.dynamics.base_motion import BaseMotion
 from glissando.simulation.rod import Wrench
-from glissando.simulation.rod_equations import Instant, RodEquations
+from glissando.simulation.rod_equations import AppliedLoads, RodEquations
 from glissando.simulation.statics import off_base, site
 
 _EVER = float("inf")
@@ -52,7 +52,7 @@ class HalfSpace:
     stop: float = _EVER
 
     def row(self) -> Array:
-        """The half-space as a row (9,) of `Instant.planes`."""
+        """The half-space as a row (9,) of `AppliedLoads.planes`."""
         normal = np.asarray(self.normal, dtype=float)
         size = float(np.linalg.norm(normal))
         if normal.shape != (3,) or not (np.isfinite(size) and size > 0.0):
@@ -134,7 +134,7 @@ class Scenario:
 
 
 @dataclass
-class Acting:
+class ScenarioLoads:
     """A scenario on a rod's equations; it keeps where points were when they were taken hold of."""
 
     scenario: Scenario
@@ -163,7 +163,7 @@ class Acting:
                 row = int(site(self.equations.mesh, Wrench(hold.arclength))[0])
                 self.anchors[k] = np.array(places[row] if hold.place is None else hold.place)
 
-    def at(self, time: float, moment: float) -> Instant:
+    def at(self, time: float, moment: float) -> AppliedLoads:
         """What acts at a time, of what is there at a `moment` of the same stretch between events.
 
         At the first instant the moment is −∞ for what then ends, and 0 for what begins.
@@ -181,7 +181,7 @@ class Acting:
                 sites.append(row)
         half_spaces = zip(scenario.half_spaces, self.planes, strict=True)
         planes = [row for plane, row in half_spaces if _is_there(plane, moment)]
-        return Instant(
+        return AppliedLoads(
             np.ascontiguousarray(base),
             np.asarray(scenario.gravity, dtype=float),
             self._cables(time),

@@ -18,6 +18,7 @@ import numpy as np
 from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
+from glissando.model.field_checks import FieldChecks
 from glissando.model.grid import Cells, Grid, Index
 from glissando.model.interpolation import Interpolation, Points
 from glissando.model.mechanics import Mechanics
@@ -48,7 +49,6 @@ from glissando.model.priors.stationary import (
     require_digits,
 )
 from glissando.model.state import State
-from glissando.model.stated import Stated
 from glissando.model.table import Table, pose_table
 
 _REACH = 0.3  # m, over which a load acts, for orders of magnitude
@@ -98,7 +98,7 @@ class MechanicalPrior:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        stated = Stated(self)
+        stated = FieldChecks(self)
         for name in ("psd_load", "psd_strain_error", "var_tip", "var_base"):
             stated.numbers(name, (6,), above=0.0)
         stated.number("time_scale", above=0.0)

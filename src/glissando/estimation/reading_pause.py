@@ -1,7 +1,7 @@
-"""Silence: where nodes lie while nothing is read, and when a robot at rest is known as well.
+"""Pauses of the readings: where nodes lie in them, and when a robot at rest is known as well.
 
-A node stands for the time around it. One step over a long silence would say that the robot had been
-at rest through half of it, so nodes go on at the usual step, then farther apart as silence lasts.
+A node stands for the time around it. One step over a long pause would say that the robot had been
+at rest through half of it, so nodes go on at the usual step, then farther apart as the pause lasts.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from glissando.estimation.reading_buffer import ReadingBuffer
 
 _USUAL = 1.0  # s: the usual step until two updates say what it is
 _LONE = 1 / 60  # s that a node without another stands for until then: half a step at 30 Hz
-_VOID = 2.0  # usual steps without a reading, which make a silence
-_GROWTH = 0.2  # of the silence so far: the longest step in it
+_VOID = 2.0  # usual steps without a reading, which make a pause
+_GROWTH = 0.2  # of the pause so far: the longest step in it
 _CURVED = 0.2  # rad: where the tip's direction is known less well, belief is not linear
 _LOST = 2.0  # rad: where it is known less well, the robot may as well be at rest
 
@@ -26,7 +26,7 @@ def is_curved(spread: Spread) -> bool:
     return spread[1] > _CURVED
 
 
-class Silence:
+class ReadingPause:
     """When a reading was heard last, and what is known of the tip since.
 
     Attributes:

@@ -1,8 +1,9 @@
 """The process that speaks with OpenIGTLink peers, so that none of them can hold an estimator up.
 
-`python -m glissando.hardware.openigtlink.exchange PORT ADDRESS MODE` connects to the estimator at
-PORT of this machine, sends the token that it reads from standard input, and then listens at ADDRESS
-or calls there, again and again; what peers say is passed on if MODE is "hear", else thrown away.
+`python -m glissando.hardware.openigtlink.peer_server PORT ADDRESS MODE` connects to the estimator
+at PORT of this machine, sends the token that it reads from standard input, and then listens at
+ADDRESS or calls there, again and again; what peers send is passed on if MODE is "hear", else thrown
+away.
 Each peer has a queue of a few updates; one that reads too slowly misses the oldest. What a peer
 sends is bounded in size and rate. The process ends with the estimator's side of the link.
 """
@@ -70,7 +71,7 @@ class _Peer:
         self.sent = time.monotonic()
 
 
-class Exchange:
+class PeerServer:
     """Peers at an address, on one side, and the estimator's link on the other.
 
     Args:
@@ -133,7 +134,7 @@ class Exchange:
             self._answered(ready)
         elif ready in self._peers:
             if events & selectors.EVENT_READ:
-                self._hear(self._peers[ready])
+                self._receive(self._peers[ready])
             if events & selectors.EVENT_WRITE and ready in self._peers:
                 self._push(self._peers[ready])
 
@@ -205,9 +206,9 @@ class Exchange:
         except OSError:
             self._let_go(peer, "lost")
             return
-        self._heed(peer)
+        self._select_events(peer)
 
-    def _heed(self, peer: _Peer) -> None:
+    def _select_events(self, peer: _Peer) -> None:
         """Wait for what the peer may do next: take more, or send more."""
         busy = bool(peer.going or peer.waiting)
         events = selectors.EVENT_WRITE * busy | selectors.EVENT_READ * (peer.budget > 0)
@@ -220,7 +221,7 @@ class Exchange:
         elif current.events != events:
             self._selector.modify(peer.socket, events)
 
-    def _hear(self, peer: _Peer) -> None:
+    def _receive(self, peer: _Peer) -> None:
         arrival = time.monotonic()
         try:
             data = peer.socket.recv(min(_READ, peer.budget))
@@ -243,7 +244,7 @@ class Exchange:
             if len(self._messages) == _WAITING:
                 self.counts["messages dropped"] += 1
             self._messages.append(ARRIVAL.pack(arrival) + message)
-        self._heed(peer)
+        self._select_events(peer)
 
     def _let_go(self, peer: _Peer, why: str) -> None:
         self.counts[why] += 1
@@ -261,7 +262,7 @@ class Exchange:
         for peer in list(self._peers.values()):
             if fresh and peer.budget < self._allowed:
                 peer.budget = self._allowed
-                self._heed(peer)
+                self._select_events(peer)
             if (peer.going or peer.waiting) and now - peer.sent > _DEAD:
                 self._let_go(peer, "silent")
 
@@ -283,7 +284,7 @@ def main(arguments: list[str]) -> None:
     connected.sendall(sys.stdin.buffer.read(16))
     link = PacketLink(connected)
     try:
-        exchange = Exchange(Address.parse(arguments[1]), link, hears=arguments[2] == "hear")
+        exchange = PeerServer(Address.parse(arguments[1]), link, hears=arguments[2] == "hear")
     except DeviceError as problem:
         link.send(FAILURE, str(problem).encode())
         return

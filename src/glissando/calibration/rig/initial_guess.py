@@ -53,7 +53,7 @@ def rough_start(model: CoilModel, expected: Rig, lag: float) -> Rig:
         lag: Delay of the slide's stamps relative to the tracker's, s.
     """
     best = _search(model, expected, lag)
-    agreed = agreeing(model, best)
+    agreed = inliers(model, best)
     if FEWEST < agreed.size < model.data.coil_time.size:
         best = _search(replace(model, data=model.data.at(agreed)), expected, lag)
     return best
@@ -65,7 +65,7 @@ def distances(model: CoilModel, rig: Rig) -> Array:
     return np.asarray(np.linalg.norm(residual, axis=1))
 
 
-def agreeing(model: CoilModel, rig: Rig) -> NDArray[np.intp]:
+def inliers(model: CoilModel, rig: Rig) -> NDArray[np.intp]:
     """Indices of the readings that are not much farther from their prediction than most."""
     distance = distances(model, rig)
     return np.flatnonzero(distance <= _OUTLIER * max(float(np.median(distance)), 0.1))

@@ -1,4 +1,4 @@
-"""Silence: belief grows, saturates, claims no more than is true, and takes true readings back."""
+"""Pauses: belief grows, saturates, claims no more than is true, and takes true readings back."""
 
 from copy import deepcopy
 
@@ -107,7 +107,7 @@ def test_a_reading_taken_just_before_the_time_asked_for_ends_a_pause(pause):
 
 
 @pytest.mark.parametrize("name", ["tdcr466", "tdcr466-segments"])
-def test_what_is_foretold_is_known_the_less_the_farther_ahead_it_lies(name):
+def test_what_is_predicted_is_known_the_less_the_farther_ahead_it_lies(name):
     robot = load_robot(name)
     heard, *_ = heard_for_a_second(robot, 3)
     before, ahead = heard.posterior(), np.array([0.0, 0.05, 0.2, 1.0, 5.0, 30.0, 300.0])
@@ -170,7 +170,7 @@ def test_readings_that_come_with_the_end_of_the_pause_are_used_at_once():
 
 
 @pytest.mark.parametrize("name", ["tdcr466", "sliding700", "tdcr466-segments"])
-def test_a_robot_at_rest_is_foretold_as_well_at_any_time(name):
+def test_a_robot_at_rest_is_predicted_as_well_at_any_time(name):
     """One step over all that time once said ± 3 m after 10 ms and ± 0.1 mm after a million s."""
     robot = load_robot(name)
     smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=4)

@@ -17,7 +17,7 @@ _SPAN = 20.0  # s of readings that are looked at
 _ENDED = "The process that looks at the readings has ended: they are not judged any more."
 
 
-class Watch:
+class PlausibilityMonitor:
     """Findings on the readings of a session that goes on, each kind of finding once.
 
     Args:

@@ -11,7 +11,7 @@ import numpy as np
 _FEW, _LONGEST = 6, 100  # numbers of an array, and letters of a value, that are shown as they are
 
 
-class Brief:
+class ShortRepr:
     """A base of dataclasses whose repr gives the shapes of arrays and the sizes of lists."""
 
     def __init_subclass__(cls, **more: Any) -> None:

@@ -9,7 +9,7 @@ from glissando.errors import GlissandoError
 _FLAGS = {"posterior": "from"}
 
 
-def refuse_silent(options: argparse.Namespace, to: str, *silent: str) -> None:
+def refuse_unused(options: argparse.Namespace, to: str, *silent: str) -> None:
     """Make sure that options which have no effect are left at their defaults.
 
     Args:

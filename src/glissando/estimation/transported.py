@@ -21,18 +21,18 @@ def has_rolled(start: State, end: State) -> bool:
     return bool(np.abs(end.rolls_from(start)).max() > _TURNED)
 
 
-def carry(slopes: Array, cov: Array) -> Array:
+def transport(slopes: Array, cov: Array) -> Array:
     """Covariances (K, D, D) turned by slopes (K, N, dof, dof) of `State.slope_to`, in place."""
-    rolls.carry_columns(slopes, cov)
-    rolls.carry_rows(slopes, cov)
+    rolls.transport_columns(slopes, cov)
+    rolls.transport_rows(slopes, cov)
     return cov
 
 
-def carried(start: State, end: State, marginals: Marginals) -> Marginals:
+def transported(start: State, end: State, marginals: Marginals) -> Marginals:
     """Covariances of steps from nodes (K, N) `start` as those of steps from `end`, in place."""
     if has_rolled(start, end):
         slopes = start.slope_to(end)
-        carry(slopes, marginals.cov)
-        rolls.carry_columns(slopes[1:], marginals.cross)
-        rolls.carry_rows(slopes[:-1], marginals.cross)
+        transport(slopes, marginals.cov)
+        rolls.transport_columns(slopes[1:], marginals.cross)
+        rolls.transport_rows(slopes[:-1], marginals.cross)
     return marginals

@@ -20,7 +20,7 @@ def is_number(value: object) -> bool:
     return isinstance(value, Real) and value == value
 
 
-class Stated:
+class FieldChecks:
     """The fields of a frozen dataclass as they are given; each method checks one and keeps it.
 
     Every method raises GlissandoError, which names the class, the field and the value.

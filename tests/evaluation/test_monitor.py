@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glissando import PoseReadings, load_robot
-from glissando.evaluation.plausibility.watch import Watch
+from glissando.evaluation.plausibility.monitor import PlausibilityMonitor
 
 
 @pytest.mark.parametrize("when", ["submitted", "looking"])
@@ -19,7 +19,7 @@ def test_a_guard_whose_process_ends_says_so_once(when):
             looking.set_exception(BrokenExecutor("gone"))
             return looking
 
-    watch = Watch(load_robot("tdcr466"), Broken())
+    watch = PlausibilityMonitor(load_robot("tdcr466"), Broken())
     read = PoseReadings(
         time=[0.0], arclength=[0.4], values=np.eye(4)[None], cov=np.full(6, 1e-6), name="p"
     )
@@ -38,7 +38,7 @@ def test_a_session_that_goes_on_is_warned_of_each_kind_once(session, unit, kinds
     values[:, :3, 3] *= unit
     coil, said = coil.changed(values=values), []
     with ThreadPoolExecutor(1) as executor:
-        watch = Watch(robot, executor, every=2.0)
+        watch = PlausibilityMonitor(robot, executor, every=2.0)
         for now in np.arange(coil.time[0], coil.time[-1], 0.5):
             fresh = coil.select((coil.time > now - 0.5) & (coil.time <= now))
             said += watch.take([fresh], now)
@@ -47,6 +47,6 @@ def test_a_session_that_goes_on_is_warned_of_each_kind_once(session, unit, kinds
     assert len(names) == len(set(names))
     assert kinds == set(names) - {"noise"}
     assert watch.last(now) == []
-    short = Watch(robot, executor)
+    short = PlausibilityMonitor(robot, executor)
     assert short.take([coil], coil.time[-1]) == []
     assert kinds <= {finding.name for finding in short.last(coil.time[-1])}

@@ -18,15 +18,15 @@ _UNIT = 20.0  # lengths of the robot: farther along it is another unit
 _REACH, _AT_BASE = 1.4, 0.1  # of arclength and of length: farther from the base no robot stretches
 
 
-class LoopDoubt:
-    """Doubts of a loop's readings.
+class OnlineMonitor:
+    """Warns, once each, of what an online estimate shows to be wrong with its readings.
 
     Attributes:
         beyond: Whether the newest state is beyond the robot's reach.
     """
 
     def __init__(self, prior: Prior, arclength: Array) -> None:
-        """Begin without a doubt."""
+        """Begin without a warning."""
         rest = prior.rest_state(Grid(arclength, [0.0])).pose[0, 0, :3, 3]
         self._base, self._arclength = rest if prior.fixes_base else None, arclength
         self._reach = (_REACH * arclength + _AT_BASE * arclength[-1]) ** 2  # m²
@@ -34,7 +34,7 @@ class LoopDoubt:
         self._farthest = _UNIT * float(arclength[-1])
         self._elsewhere: set[str] = set()  # streams
 
-    def hear(self, readings: Readings) -> None:
+    def check_places(self, readings: Readings) -> None:
         """Look at where readings are said to be, before those off the robot are left out."""
         place = readings.arclength
         if not len(place) or place[0] <= self._farthest or readings.label in self._elsewhere:
@@ -45,7 +45,7 @@ class LoopDoubt:
             f"is left out; give metres, not millimetres."
         )
 
-    def look(self, newest: State, restarts: int) -> None:
+    def check_state(self, newest: State, restarts: int) -> None:
         """Look at the newest nodes (N,) and at how often a window began anew until now."""
         self._advances += 1
         restarting = restarts >= _RESTARTS and 2 * restarts >= self._advances

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from glissando.estimation.reading_pause import is_curved
 from glissando.estimation.shape_spread import (
     ShapeSpread,
     between_nodes,
     shape_covariances,
     tip_spread,
 )
-from glissando.estimation.silence import is_curved
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.estimation.state_estimate import StateEstimate
 from glissando.geometry.se3 import Array
 
 
-def foretold(window: SlidingWindow, place: Array, time: Array, since: float) -> StateEstimate:
+def predicted(window: SlidingWindow, place: Array, time: Array, since: float) -> StateEstimate:
     """The state at places and times (…); what its last node says holds from then on.
 
     Later than all that was read the spread of shapes stands for a belief that is wide, each time's
