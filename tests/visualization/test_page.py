@@ -14,10 +14,11 @@ from glissando.cli.main import main
 from glissando.errors import OutsideGridError
 from glissando.estimation.confidence_tube import SIGMAS_95
 from glissando.geometry import se3
+from glissando.geometry.covariance import symmetric_root
 from glissando.io.netcdf import save_posterior
 from glissando.visualization.page import Scene, page, save_view, scene_of
 from glissando.visualization.page.page import packed
-from glissando.visualization.page.scene import moments, symmetric_root
+from glissando.visualization.page.scene import moments
 from pages import OUTSIDE, carried, unpacked
 from scenes import LENGTH, judged_scene
 

@@ -15,6 +15,7 @@ from glissando.estimation.loads import load_places, require_mechanics
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_table
+from glissando.model.evenly import evenly_chosen
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.visualization.canvas import save_figure
 from glissando.visualization.contact_figure import contact_figure, mapped_times
@@ -148,7 +149,7 @@ def _rows(posterior: Posterior) -> list[dict[str, Any]]:
     """What acts where loads are expected at a few times of the window, world frame."""
     prior, nodes = require_mechanics(posterior.prior), posterior.grid.time
     places = load_places(prior, posterior.grid)
-    rows = np.unique(np.linspace(0, nodes.size - 1, min(_MOMENTS, nodes.size)).round().astype(int))
+    rows = evenly_chosen(nodes.size, _MOMENTS)
     load = posterior.load(places, nodes[rows, None], frame="world")
     return [
         {

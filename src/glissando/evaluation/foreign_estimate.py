@@ -21,6 +21,7 @@ from glissando.io.foreign.delimited import cells_of, samples
 from glissando.io.foreign.tracks import Track, unit_rotations
 from glissando.io.query_csv import QUERY_COLUMNS
 from glissando.io.recording import Recording
+from glissando.model.evenly import evenly_chosen
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import (
@@ -278,7 +279,7 @@ def _require_units(
             f"{robot.length:.4g} m long: it is probably in another unit; give metres."
         )
     count = len(estimate.time)
-    some = np.unique(np.linspace(0, count - 1, min(count, _LOOKED_AT)).round().astype(int))
+    some = evenly_chosen(count, _LOOKED_AT)
     readings = [
         PositionReadings(
             time=estimate.time[k],

@@ -21,6 +21,7 @@ from glissando.estimation.reading_fit import fit_of
 from glissando.evaluation.consistency import Consistency
 from glissando.evaluation.effective_samples import effective_errors, effective_samples
 from glissando.geometry.se3 import Array
+from glissando.model.evenly import evenly_chosen
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import corrected
@@ -115,7 +116,7 @@ def _predicted(
     known = [parameter for parameter in parameters if parameter.known]
     for r in left:
         if len(r):
-            some = np.linspace(0, len(r) - 1, min(len(r), _ROWS)).round().astype(int)
+            some = evenly_chosen(len(r), _ROWS)
             part = corrected(r.select(some), known)
             part = part.select(~_is_curved(posterior, part))
             if len(part):

@@ -179,6 +179,11 @@ def left_jacobian_inverse(x: Array) -> Array:
     return right_jacobian_inverse(-x)
 
 
+def rotate(rotation: Array, vector: Array) -> Array:
+    """Vectors (…, 3) turned by rotations (…, 3, 3), or any vectors by any matrices."""
+    return np.einsum("...ij,...j->...i", rotation, vector)
+
+
 def position_covariance(cov: Array) -> Array:
     """Second moments (…, 3, 3) of the position of exp(x^), for covariance (…, 6, 6) of x.
 

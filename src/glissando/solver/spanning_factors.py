@@ -8,6 +8,7 @@ import numpy as np
 
 from glissando._kernels.arrays import whole
 from glissando.errors import SensorError
+from glissando.geometry.covariance import symmetric_root
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid, Index
@@ -116,7 +117,7 @@ def _between(cov: Array, s: Array, nodes: Index) -> Array:
 
 def _in_time(by_state: Array, cov: Array) -> Array:
     """What the bridge in time leaves open (M, r, r), by slopes (M, r, P, 18) at the places."""
-    common = np.sum(by_state.swapaxes(1, 2) @ _root(cov), axis=1)
+    common = np.sum(by_state.swapaxes(1, 2) @ symmetric_root(cov), axis=1)
     left: Array = common @ common.swapaxes(1, 2)
     return left
 
@@ -133,20 +134,12 @@ def _along(by_strain: Array, cov: Array, s: Array, nodes: Index) -> Array:
         s: The places (P,), m.
         nodes: Which of them are nodes.
     """
-    steps, root = np.diff(s), _root(cov)
+    steps, root = np.diff(s), symmetric_root(cov)
     weight = by_strain / (0.5 * (np.append(steps, 0.0) + np.append(0.0, steps)))[:, None]
     weight = 0.5 * (weight[:, :, :-1] + weight[:, :, 1:])
     sums = np.add.reduceat(weight.swapaxes(1, 2) @ np.diff(root, axis=1), nodes[:-1], axis=1)
     left: Array = np.einsum("mkra,mkqa->mrq", sums, sums)
     return left
-
-
-def _root(cov: Array) -> Array:
-    """Symmetric square roots (…, d, d) of covariances, of negative ones zero."""
-    values, vectors = np.linalg.eigh(cov)
-    scaled = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
-    out: Array = scaled @ vectors.swapaxes(-1, -2)
-    return out
 
 
 def interpolated(

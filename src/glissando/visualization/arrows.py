@@ -9,6 +9,7 @@ import numpy as np
 from glissando.estimation.confidence_tube import SIGMAS_95
 from glissando.estimation.loads import load_places
 from glissando.estimation.posterior import Posterior
+from glissando.geometry.covariance import half_axes
 from glissando.geometry.se3 import Array
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.visualization.canvas import MM
@@ -70,8 +71,7 @@ class Arrows:
 
     def rings(self) -> Array:
         """Main ellipses of the tips' 95 % ellipsoids (F, P, S, 3), m, with a NaN after each."""
-        variance, axes = np.linalg.eigh(self.cov)
-        axes = SIGMAS_95 * self.scale * axes * np.sqrt(np.maximum(variance, 0.0))[..., None, :]
+        axes = SIGMAS_95 * self.scale * half_axes(self.cov)
         tip, lines = self.tip[..., None, :], []
         for i, j in ((0, 1), (1, 2), (2, 0)):
             ring = np.cos(_AROUND)[:, None] * axes[..., None, :, i]

@@ -65,6 +65,16 @@ def gif_rate(rate: float) -> float:
 
 
 @contextmanager
+def gif_frames(figure: Figure, file: Path, rate: float, dpi: int) -> Iterator[Any]:
+    """A writer of the frames of a GIF, a new file: its `grab_frame` takes what the figure shows."""
+    from matplotlib.animation import PillowWriter
+
+    writer = PillowWriter(fps=rate)  # type: ignore[arg-type]  # any number will do
+    with new_file(file) as building, writer.saving(figure, building, dpi=dpi):
+        yield writer
+
+
+@contextmanager
 def canvas(width: float, height: float, style: Style = NO_STYLE) -> Iterator[Figure]:
     """An empty figure of that size in inches on its own canvas, and the look while it is filled."""
     with needing("Figures need matplotlib", "plot"):
@@ -108,6 +118,11 @@ def describe(axes: Any, own: bool, entries: dict[str, Any], **look: Any) -> None
         legend(axes.figure, entries, **look)
     elif entries:
         axes.legend(list(entries.values()), list(entries), handler_map=_tuples())
+
+
+def legend_entries(axes: Any) -> dict[str, Any]:
+    """What axes label, by its words."""
+    return dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
 
 
 def legend(figure: Figure, entries: dict[str, Any], **look: Any) -> None:

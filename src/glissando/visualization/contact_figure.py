@@ -9,7 +9,8 @@ import numpy as np
 from glissando.estimation.contact import ContactScan
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
-from glissando.visualization.canvas import MM, NO_STYLE, Style, describe, panels_on
+from glissando.model.evenly import evenly_chosen
+from glissando.visualization.canvas import MM, NO_STYLE, Style, describe, legend_entries, panels_on
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,7 +22,7 @@ _LEAST = 10.0  # evidence at least that colours reach to
 def mapped_times(posterior: Posterior) -> Array:
     """Time nodes (K,) of a posterior that a map shows: all, or as many as can be seen apart."""
     time = posterior.grid.time
-    rows = np.linspace(0, time.size - 1, min(_MOST, time.size)).round().astype(int)
+    rows = evenly_chosen(time.size, _MOST)
     return np.asarray(time[rows])
 
 
@@ -54,9 +55,8 @@ def contact_figure(
         upper, lower = panels.ravel()
         _draw_map(upper, scan)
         _draw_evidence(lower, scan)
-        entries = dict(zip(*lower.get_legend_handles_labels()[::-1], strict=True))
-        dots, labels = upper.get_legend_handles_labels()
-        entries |= dict(zip(labels, dots, strict=True))
+        entries = legend_entries(lower)
+        entries |= legend_entries(upper)
         describe(upper, ax is None, entries, loc="outside upper center", ncols=len(entries))
     return np.array([upper, lower], dtype=object)
 

@@ -13,7 +13,7 @@ from glissando.evaluation.replay import Replay
 from glissando.evaluation.simulation_based import SimulationCheck, bands, rank_points
 from glissando.geometry.se3 import Array
 from glissando.model.quantiles import chi_square_quantile
-from glissando.visualization.canvas import SENSORS, legend, line_colours, panels_on
+from glissando.visualization.canvas import SENSORS, legend, legend_entries, line_colours, panels_on
 
 
 def calibration_figure(checks: Sequence[Consistency]) -> Any:
@@ -41,7 +41,7 @@ def calibration_figure(checks: Sequence[Consistency]) -> Any:
             axes.set_title(quantity, loc="left", fontweight="bold")
             axes.set(xlabel="nominal coverage (%)", xlim=(0, 100), ylim=(0, 101), aspect="equal")
         panels[0][0].set_ylabel("errors inside (%)")
-        entries = dict(zip(*panels[0][0].get_legend_handles_labels()[::-1], strict=True))
+        entries = legend_entries(panels[0][0])
         legend(panels[0][0].figure, entries, loc="outside upper center", ncols=4)
     return panels
 

@@ -29,6 +29,7 @@ from glissando.visualization.canvas import (
     SIDES,
     Style,
     describe,
+    legend_entries,
     panels_on,
     save_figure,
 )
@@ -86,7 +87,7 @@ def confidence_figure(
             _draw_path(axes, stream, order, len(used))
         axes.set(xlabel="time (s)", ylabel="arclength (mm)")
         axes.margins(0.0)
-        entries = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+        entries = legend_entries(axes)
         if used:
             describe(axes, ax is None, entries, loc="outside upper center", ncols=min(len(used), 5))
     return axes

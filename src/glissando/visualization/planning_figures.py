@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import new_file
 from glissando.planning.design import NUMBERS, Design, pareto_front
 from glissando.planning.placement import Placement
 from glissando.planning.planning_problem import PlanningProblem
@@ -20,7 +19,9 @@ from glissando.visualization.canvas import (
     Style,
     canvas,
     describe,
+    gif_frames,
     gif_rate,
+    legend_entries,
     line_colours,
     panels_on,
 )
@@ -118,14 +119,11 @@ def save_plan_film(
     place, time, maps = _maps(problem, paths)
     top = float(np.quantile(np.stack(list(maps.values())), 0.97))
     with canvas(7.0, 4.2) as figure:
-        from matplotlib.animation import PillowWriter
-
         axes: Any = figure.subplots()
         lasts = problem.end - problem.start
         rate = gif_rate(_TIMES / lasts)
         frames = np.linspace(0, time.size - 1, max(2, round(rate * lasts))).astype(int)
-        writer = PillowWriter(fps=rate)  # type: ignore[arg-type]  # any number will do
-        with new_file(file) as building, writer.saving(figure, building, dpi=90):
+        with gif_frames(figure, file, rate, dpi=90) as writer:
             for k in frames.tolist():
                 now = float(time[k])
                 axes.clear()
@@ -194,7 +192,7 @@ def design_figure(designs: Sequence[Design], *, ax: Any = None, style: Style = N
             if levels.size == 1:
                 axes.set_xlim(0.0, 2.0 * levels[0] or 1.0)
         row[0].set_ylabel("position standard deviation (mm)")
-        entries = dict(zip(*row[0].get_legend_handles_labels()[::-1], strict=True))
+        entries = legend_entries(row[0])
         describe(row[0], ax is None, entries, loc="outside upper center", ncols=4)
     return panels
 
@@ -232,6 +230,6 @@ def placement_figure(
                 drawn = {"color": _LINES[kind % len(_LINES)], "label": kinds[kind]}
                 body.plot(place, np.full(place.size, each.cost), "s", ms=4, **drawn)
         body.set(xlabel="arclength (mm)", ylabel="cost", xlim=(0.0, MM * length))
-        entries = dict(zip(*body.get_legend_handles_labels()[::-1], strict=True))
+        entries = legend_entries(body)
         body.legend(entries.values(), entries.keys(), loc="lower right")
     return panels

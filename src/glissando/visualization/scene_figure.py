@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from glissando.estimation.confidence_tube import SIGMAS_95, confidence_tube, tube_faces
+from glissando.geometry.covariance import symmetric_root
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import new_file
 from glissando.planning.scene.motion_cost import Evaluation
 from glissando.planning.scene.obstacles import HalfSpace, sphere
 from glissando.planning.scene.plan_motion import MotionPlan
-from glissando.visualization.canvas import MM, canvas, gif_rate, line_colours
+from glissando.visualization.canvas import MM, canvas, gif_frames, gif_rate, line_colours
 from glissando.visualization.page.scene import Scene as PageScene
-from glissando.visualization.page.scene import Solid, symmetric_root
+from glissando.visualization.page.scene import Solid
 from glissando.visualization.shape_figure import frame_axes
 
 _SHOWN = 5  # shapes of a motion in one picture
@@ -65,12 +65,9 @@ def save_scene_film(plan: MotionPlan, file: Path) -> None:
     rate = gif_rate(_FRAMES / lasts)
     frames = np.linspace(0, moments.size - 1, max(2, round(rate * lasts)))
     with canvas(6.0, 5.4) as figure:
-        from matplotlib.animation import PillowWriter
-
         figure.set_layout_engine("none")
         axes: Any = figure.add_axes(_INSET, projection="3d", computed_zorder=False)
-        writer = PillowWriter(fps=rate)  # type: ignore[arg-type]  # any number will do
-        with new_file(file) as building, writer.saving(figure, building, dpi=80):
+        with gif_frames(figure, file, rate, dpi=80) as writer:
             for k in frames:
                 axes.clear()
                 _draw_space(axes, plan, np.array([k]))

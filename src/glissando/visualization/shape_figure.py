@@ -12,11 +12,20 @@ import numpy as np
 
 from glissando.estimation.confidence_tube import SIGMAS_95
 from glissando.estimation.posterior import Posterior
+from glissando.geometry.covariance import half_axes
 from glissando.geometry.se3 import Array
 from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 from glissando.visualization.arrows import Arrows, arrows_of
-from glissando.visualization.canvas import AXES, MM, NO_STYLE, Style, describe, panels_on
+from glissando.visualization.canvas import (
+    AXES,
+    MM,
+    NO_STYLE,
+    Style,
+    describe,
+    legend_entries,
+    panels_on,
+)
 from glissando.visualization.sampling import drawn_at
 from glissando.visualization.sites import NEAR, seen_positions, sites_of
 
@@ -87,8 +96,7 @@ def draw_ellipsoids(axes: Any, centre: Array, cov: Array, colour: Any) -> list[A
     """Draw the 95 % ellipsoids of points (M, 3) in metres; their bounding corners in mm."""
     around, down = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 15))
     ball = np.stack([np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)])
-    variance, directions = np.linalg.eigh(cov)
-    stretch = SIGMAS_95 * MM * np.sqrt(np.maximum(variance, 0.0))[:, None, :] * directions
+    stretch = SIGMAS_95 * MM * half_axes(cov)
     centre = centre * MM
     for place, axis in zip(centre, stretch, strict=True):
         x, y, z = place[:, None, None] + np.einsum("ij,jkl->ikl", axis, ball)
@@ -126,7 +134,7 @@ def _explain(axes: Any, own: bool, sites: Sequence[Readings], forces: str) -> No
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    entries = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    entries = legend_entries(axes)
     entries["95 % of positions"] = Patch(color="0.5", alpha=0.35, linewidth=0)
     if forces:
         entries[forces] = Line2D([], [], color="0.3", lw=1.4, marker=">", markevery=(1, 1), ms=6)

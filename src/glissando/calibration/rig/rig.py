@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from glissando.calibration.rig.other_coil import OtherCoil
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.model.evenly import evenly_chosen
 from glissando.model.priors.rest_shape import STRAIGHT
 from glissando.model.short_repr import ShortRepr
 from glissando.model.tendons.channel import Channel
@@ -145,7 +146,7 @@ class RigData(ShortRepr):
         """The same data with at most `count` coil readings, evenly chosen."""
         if self.coil_time.size <= count:
             return self
-        rows = np.unique(np.linspace(0, self.coil_time.size - 1, count).round().astype(int))
+        rows = evenly_chosen(self.coil_time.size, count)
         return self.at(rows)
 
     @property
@@ -162,7 +163,7 @@ class RigData(ShortRepr):
         lasts = self.coil_time[first + size - 1] - self.coil_time[first]
         first = first[lasts < 1.5 * _BLOCK]
         if first.size > count:
-            first = first[np.linspace(0, first.size - 1, count).round().astype(int)]
+            first = first[evenly_chosen(first.size, count)]
         return self.at((first[:, None] + np.arange(size)).ravel())
 
     def at(self, rows: NDArray[np.intp]) -> RigData:

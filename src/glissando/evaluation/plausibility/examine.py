@@ -23,6 +23,7 @@ from glissando.evaluation.plausibility.speed import check_grid, check_speed
 from glissando.evaluation.plausibility.turning import check_gyros
 from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording
+from glissando.model.evenly import evenly_chosen
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
@@ -183,7 +184,7 @@ def after_estimate(
     known = [parameter for parameter in sensor_parameters if parameter.known]
     findings = []
     for r in (corrected(r, known) for r in readings):
-        r = r.select(np.linspace(0, len(r) - 1, min(len(r), _ROWS)).round().astype(int))
+        r = r.select(evenly_chosen(len(r), _ROWS))
         r = r.inside(posterior.grid)
         if not len(r):
             continue
@@ -211,7 +212,7 @@ def _swelling(posterior: Posterior) -> Iterator[Finding]:
     nodes, arclength = posterior.grid.time, posterior.grid.arclength[1:]
     if nodes.size < 2 or not arclength.size:
         return
-    first = np.unique(np.linspace(0, nodes.size - 2, _INTERVALS).round().astype(int))
+    first = evenly_chosen(nodes.size - 1, _INTERVALS)
     middle = 0.5 * (nodes[first] + nodes[first + 1])
     between, before, after = (
         posterior.at(arclength, time[:, None]).std_position

@@ -11,6 +11,7 @@ from glissando.evaluation.plausibility.corrections import signed_axes
 from glissando.evaluation.plausibility.finding import Finding
 from glissando.evaluation.plausibility.session import Streams, sight
 from glissando.geometry.se3 import Array
+from glissando.model.evenly import evenly_chosen
 from glissando.model.sensors.accelerometer import AccelerometerReadings
 from glissando.model.sensors.readings import Readings
 
@@ -42,7 +43,7 @@ def check_accelerometers(streams: Streams) -> Iterator[Finding]:
         weight = float(np.linalg.norm(r.gravity))
         if weight < _LIGHT:
             continue
-        r = r.select(np.unique(np.linspace(0, len(r) - 1, _MOST).round().astype(int)))
+        r = r.select(evenly_chosen(len(r), _MOST))
         yield from _sized(r, weight) or _turned(streams, r, weight)
 
 

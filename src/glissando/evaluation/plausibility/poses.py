@@ -12,6 +12,7 @@ from glissando.evaluation.plausibility.finding import Finding, listed
 from glissando.evaluation.plausibility.session import Streams
 from glissando.evaluation.plausibility.shape import ROUNDS, Fit, Rod, TrackedPoses
 from glissando.geometry.se3 import Array
+from glissando.model.evenly import evenly_chosen
 from glissando.model.quantiles import chi_square_exceedance
 
 _MISS = {False: 1.3, True: 2.5}  # typical miss in generous standard deviations, of few streams more
@@ -180,7 +181,7 @@ def _tried(streams: Streams, rod: Rod, seen: TrackedPoses, group: tuple[int, ...
         shapes, tried = rod.fit(seen.without(list(group))), _corrected(seen, group, chosen, frame)
         fit = rod.seen_by(shapes, tried)
     else:
-        some = np.linspace(0, len(seen.place) - 1, _FEW).round().astype(int)
+        some = evenly_chosen(len(seen.place), _FEW)
         few = TrackedPoses(*(a[some] for a in (seen.place, seen.pose, seen.weight)))
         tried = _corrected(few, group, chosen, frame)
         fit = rod.fit(tried, _QUICK)

@@ -22,10 +22,6 @@ RATED = 24
 """Degrees of freedom of a node that knows its strain rate."""
 
 
-def _apply(matrix: Array, vector: Array) -> Array:
-    return np.einsum("...ij,...j->...i", matrix, vector)
-
-
 def strain_rate_of(state: State) -> Array:
     """The strain rate (…, 6) of a state that must have one."""
     assert state.strain_rate is not None
@@ -105,11 +101,11 @@ def interval_end(start: State, error: Array, step: Array) -> State:
     xi, xi_rate = error[..., :6], error[..., 12:18]
     miss = se3.exp(xi)
     ahead = se3.exp(scaled) @ miss
-    drawn = _apply(se3.right_jacobian(scaled), step[..., None] * rate0)
+    drawn = se3.rotate(se3.right_jacobian(scaled), step[..., None] * rate0)
     velocity = (
-        _apply(se3.right_jacobian(xi), xi_rate)
-        + _apply(se3.adjoint(se3.inverse(ahead)), start.velocity)
-        + _apply(se3.adjoint(se3.inverse(miss)), drawn)
+        se3.rotate(se3.right_jacobian(xi), xi_rate)
+        + se3.rotate(se3.adjoint(se3.inverse(ahead)), start.velocity)
+        + se3.rotate(se3.adjoint(se3.inverse(miss)), drawn)
     )
     strain, rate = start.strain + error[..., 6:12], rate0 + error[..., 18:]
     return State(start.pose @ ahead, strain, velocity, rate)

@@ -12,6 +12,7 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior
 from glissando.io.atomic_file import new_file
+from glissando.model.evenly import evenly_chosen
 from glissando.model.grid import Grid
 from glissando.model.sensors.readings import Readings
 from glissando.visualization.canvas import canvas
@@ -118,7 +119,7 @@ def _write_gif(stage: Stage, building: Path, rate: float, progress: Progress) ->
     from PIL import Image
 
     count = stage.frames.time.size
-    some = np.unique(np.linspace(0, count - 1, 8).round().astype(int))
+    some = evenly_chosen(count, 8)
     sample = np.concatenate([np.asarray(stage.picture(k).point(_NEARLY_WHITE)) for k in some])
     palette = Image.fromarray(sample).quantize(kmeans=1)
     pictures = []

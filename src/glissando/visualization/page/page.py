@@ -17,14 +17,15 @@ from glissando import __version__
 from glissando.estimation.confidence_tube import SIGMAS_95
 from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
+from glissando.geometry.covariance import symmetric_root
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import write_text
 from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 from glissando.visualization.arrows import Arrows
-from glissando.visualization.page.scene import Progress, Scene, scene_of, symmetric_root
+from glissando.visualization.canvas import MM
+from glissando.visualization.page.scene import Progress, Scene, scene_of
 
-MM = 1e3
 _NOTHING = 65535  # stands for NaN
 _SIX = np.triu_indices(3)
 

@@ -10,6 +10,7 @@ import numpy as np
 from glissando.errors import GlissandoError, OutsideGridError
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.metrics import errors_against
+from glissando.geometry.covariance import symmetric_root
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 from glissando.model.seconds import seconds
@@ -148,16 +149,6 @@ def moments(nodes: Array, window: tuple[float, float] | None) -> Array:
     nodes = nodes[(nodes >= first) & (nodes <= last)]
     nodes = np.unique(np.concatenate([[first], nodes, [last]]))
     return np.unique(drawn_at(nodes, int(np.ceil(_RATE * (last - first) - 1e-9)), _MOST))
-
-
-def symmetric_root(cov: Array) -> Array:
-    """The symmetric S (…, 3, 3) with S S = cov; negative variances of rounding count as none.
-
-    >>> symmetric_root(np.diag([4.0, 9.0, 0.0])).diagonal().tolist()
-    [2.0, 3.0, 0.0]
-    """
-    variance, axes = np.linalg.eigh(cov)
-    return (axes * np.sqrt(np.maximum(variance, 0.0))[..., None, :]) @ np.swapaxes(axes, -1, -2)
 
 
 def _misses(posterior: Posterior, site: Readings, times: Array) -> Array:

@@ -249,9 +249,9 @@ def _apply(maps: Array, values: Array) -> Array:
 def modal_values(modes: BeamModes, state: State) -> Array:
     """Amplitudes (K, 4, m, 3) of position, velocity, β and β̇ of nodes (K, N)."""
     rotation, nu, omega = state.pose[..., :3, :3], state.strain[..., :3], state.velocity[..., 3:]
-    tangent = _turned(rotation, nu)
-    turning = _turned(rotation, np.cross(omega, nu) + strain_rate_of(state)[..., :3])
-    velocity = _turned(rotation, state.velocity[..., :3])
+    tangent = se3.rotate(rotation, nu)
+    turning = se3.rotate(rotation, np.cross(omega, nu) + strain_rate_of(state)[..., :3])
+    velocity = se3.rotate(rotation, state.velocity[..., :3])
     inertia = state.fields()[-1]
     place = modes.by_place @ state.pose[..., :3, 3] + modes.by_tangent @ tangent
     rate = modes.by_place @ velocity + modes.by_tangent @ turning
@@ -282,7 +282,3 @@ def modal_slopes(modes: BeamModes, state: State) -> Array:
     ):
         out[:, row, :, :, :, columns] += np.einsum("mn,kncd->kmcnd", weights, slope)
     return out
-
-
-def _turned(rotation: Array, vector: Array) -> Array:
-    return np.einsum("...ij,...j->...i", rotation, vector)

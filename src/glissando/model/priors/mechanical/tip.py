@@ -43,7 +43,7 @@ def pushed(mechanics: Mechanics, at: State, error: Array, jacobian: Array) -> tu
     """
     assert at.inertia is not None
     back = np.swapaxes(at.pose[..., :3, :3], -1, -2)
-    push, rate = (mechanics.tip_mass * _turned(back, at.inertia[..., p]) for p in _PARTS)
+    push, rate = (mechanics.tip_mass * se3.rotate(back, at.inertia[..., p]) for p in _PARTS)
     turning = at.velocity[..., 3:]
     wide = np.concatenate([jacobian, np.zeros((*jacobian.shape[:-1], 6))], axis=-1)
     error = error.copy()
@@ -55,7 +55,3 @@ def pushed(mechanics: Mechanics, at: State, error: Array, jacobian: Array) -> tu
     wide[..., :3, 24:27] = wide[..., 6:9, 27:30] = mechanics.tip_mass * back
     wide[..., 6:9, 24:27] = -se3.hat3(turning) @ (mechanics.tip_mass * back)
     return error, wide
-
-
-def _turned(rotation: Array, vector: Array) -> Array:
-    return np.einsum("...ij,...j->...i", rotation, vector)
