@@ -4,20 +4,20 @@ import numpy as np
 
 
 def dense_covariance(problem, rows):
-    """Covariances (K, q, q) before the readings of each of K corrections.
+    """Covariances (K, n, n) before the readings of each of K corrections.
 
     All corrections are one vector, conditioned on all readings that come before at once.
     """
-    count, size = len(rows), problem.body.errors
-    kept = problem.fade(problem.space.correction)
-    first, eye = problem.belief.cov, np.eye(size)
+    count, size = len(rows), problem.time_scale.size
+    kept = np.exp(-problem.space.correction / problem.time_scale)
+    first = problem.belief.cov
     cov = np.zeros((count, count, size, size))
     own = first
     for k in range(count):
         for j in range(k, count):
-            cov[k, j] = kept ** (j - k) * own
+            cov[k, j] = own * kept ** (j - k)
             cov[j, k] = cov[k, j].T
-        own = kept**2 * own + (1.0 - kept**2) * eye
+        own = kept[:, None] * own * kept + np.diag(1.0 - kept**2)
     whole = cov.transpose(0, 2, 1, 3).reshape(count * size, -1)
     before = []
     for k in range(count):
@@ -31,11 +31,17 @@ def dense_covariance(problem, rows):
 
 
 def sampled_errors(problem, known, count, rng):
-    """What a filter leaves of sampled model errors (count, q), moment after moment."""
+    """What a filter and corrections leave of sampled model errors (count, q), moment after moment.
+
+    The errors themselves are drawn, filtered, and corrected but for a part of what is known.
+    """
     rows, before = known.corrections.rows, known.corrections.before
-    size, kept = problem.body.errors, problem.fade(problem.space.correction)
+    size, own = problem.time_scale.size, problem.body.errors
+    kept = np.exp(-problem.space.correction / problem.time_scale)
     moments = problem.space.moments / problem.space.correction
-    off = rng.multivariate_normal(np.zeros(size), problem.belief.cov, count)
+    true = rng.multivariate_normal(np.zeros(size), problem.belief.cov, count)
+    known_of, left = np.zeros_like(true), problem.body.left.T
+    off = true[:, :own]
     yield off
     for k in range(len(before) - 1):
         noise = rng.standard_normal((count, rows.shape[1]))
@@ -43,9 +49,11 @@ def sampled_errors(problem, known, count, rng):
             np.eye(rows.shape[1]) + rows[k] @ before[k] @ rows[k].T, rows[k] @ before[k]
         ).T
         drift = np.sqrt(1.0 - kept**2) * rng.standard_normal((count, size))
-        new = kept * (off - (off @ rows[k].T + noise) @ gain.T) + drift
+        known_of = kept * (known_of + ((true - known_of) @ rows[k].T + noise) @ gain.T)
+        true = kept * true + drift
+        new = (true - known_of)[:, :own] + known_of[:, :own] @ left
         inside = moments[(moments > k + 1e-9) & (moments < k + 1 + 1e-9)]
-        bridge = wandered(inside - k, kept, (count, size), rng)
+        bridge = wandered(inside - k, kept[0], (count, own), rng)
         yield from (
             off + (moment - k) * (new - off) + b for moment, b in zip(inside, bridge, strict=True)
         )
@@ -71,7 +79,7 @@ def sampled_hits(problem, evaluation, count, rng):
     radius, std = problem.scene.robot_radius, problem.scene.model_std
     floor = std * rng.standard_normal((count, 1))
     for k, off in enumerate(sampled_errors(problem, evaluation.known, count, rng)):
-        mean = problem.fade(problem.space.moments[k]) * problem.belief.mean
+        mean = problem.expected(problem.space.moments[k])
         values = np.broadcast_to(evaluation.values[k, :6], (count, 6))
         place = problem.body.shapes(values, mean + off).place.reshape(-1, 3)
         for obstacle in problem.scene.obstacles:

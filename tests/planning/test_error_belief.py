@@ -14,7 +14,10 @@ def test_between_corrections_an_error_is_as_unknown_as_drawn_ones(time_scale, we
     rng, count, each, step = np.random.default_rng(2), 20_000, 4, 0.25
     fade = np.exp(-step / time_scale)
     rows = np.full((5, 1, 1), weight)
-    known = KnownError(predict_covariance(np.eye(1), rows, fade), np.arange(17) / each)
+    known = KnownError(
+        predict_covariance(np.eye(1), rows, np.array([fade]), np.zeros((1, 1))),
+        np.arange(17) / each,
+    )
     slow = np.exp(-step / each / time_scale)
     error = [rng.standard_normal(count)]
     for _ in range(16):
@@ -30,7 +33,7 @@ def test_between_corrections_an_error_is_as_unknown_as_drawn_ones(time_scale, we
     left = [e - (1 - s % 1) * means[int(s)] - s % 1 * means[min(int(s) + 1, 4)]
             for e, s in zip(error, share, strict=True)]  # fmt: skip
     true = np.var(left, axis=1)
-    claimed = known.before[:, 0, 0]
+    claimed = known.off[:, 0, 0]
     assert np.all(true < 1.06 * claimed)
     assert np.all(true > 0.8 * claimed)
     np.testing.assert_allclose(true[::each], claimed[::each], rtol=0.06)

@@ -12,17 +12,17 @@ from glissando.planning.scene.correction_speed import correction_speed
 from glissando.planning.scene.follow import MotionFollower
 from glissando.planning.scene.motion_space import motion_space
 from glissando.planning.scene.plan_motion import MotionPlan
-from motion_scenes import COIL, any_problem
+from motion_scenes import COIL, MOUNTED, ROBOT, any_problem
 
 
-def followed(seed, corrects, error_seed=None):
+def followed(seed, corrects, error_seed=None, robot=ROBOT):
     """Errors of the places from the plan, what was stated of them, and changes of corrections.
 
     The robot is the model with an error of its own, of another seed if one is given; its coil reads
     it twice a second.
     """
     rng = np.random.default_rng(seed)
-    problem, control = any_problem(rng, obstacles=[])
+    problem, control = any_problem(rng, robot=robot, obstacles=[])
     problem = replace(problem, body=replace(problem.body, time_scale=20.0))
     evaluation = problem.evaluate(control)
     rng = rng if error_seed is None else np.random.default_rng([seed, error_seed])
@@ -36,14 +36,15 @@ def followed(seed, corrects, error_seed=None):
     out = []
     for k, time in enumerate(problem.space.moments):
         values = follower.command(time)
-        shapes = body.shapes(values[None, :6], true[None])
+        shapes = body.shapes(values[None, :6], true[None, : body.errors])
         off = shapes.place[0] - evaluation.shapes.place[k]
         out.append((off, evaluation.cov[k], np.diff(follower._corrections, axis=0)[0]))
         place = np.full(round(COIL.rate * problem.space.correction), values[6])
         noise = np.pad(std * rng.standard_normal((place.size, 5)), ((0, 0), (0, 1)))
-        reading = shapes.pose_at(place[:1])[0] @ se3.exp(noise)
+        sits = np.resize(problem.sensed.std * true[body.errors :], 6)  # none, or one mount
+        reading = shapes.pose_at(place[:1])[0] @ se3.exp(sits) @ se3.exp(noise)
         follower.advance(time)
-        kept = problem.fade(problem.space.correction)
+        kept = np.exp(-problem.space.correction / problem.time_scale)
         drift = np.sqrt(1.0 - kept**2) * rng.standard_normal(true.size)
         moved = kept * true + drift
         if corrects:
@@ -64,10 +65,11 @@ def test_readings_bring_the_robot_back_to_its_plan():
 
 
 @pytest.mark.slow
-def test_errors_from_the_plan_are_as_large_as_it_states():
+@pytest.mark.parametrize(("robot", "seeds"), [(ROBOT, 8), (MOUNTED, 16)])
+def test_errors_from_the_plan_are_as_large_as_it_states(robot, seeds):
     squares = []
-    for seed in range(8):
-        for off, cov, _ in followed(seed, True)[0][4::2]:
+    for seed in range(seeds):
+        for off, cov, _ in followed(seed, True, robot=robot)[0][4::2]:
             squares.append([off[-1] @ off[-1], np.trace(cov[-1])])
     true, stated = np.sum(squares, axis=0)
     assert 0.6 < true / stated < 1.6

@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 from draws import generators, law
 from glissando.planning.scene.risk import both_below, bound_hits
 from glissando.planning.scene.sampled_risk import sample_risk
-from motion_scenes import LOOSE, ROBOT, any_problem
+from motion_scenes import LOOSE, ROBOT, UNSURE, any_problem
 from oracles.model_errors import dense_covariance, sampled_errors, sampled_hits
 
 
@@ -33,19 +33,22 @@ def test_two_numbers_are_below_with_the_probability_of_the_bivariate_normal(rng,
 @settings(law, max_examples=6)
 @given(rng=generators)
 def test_what_is_known_is_what_dense_algebra_says(rng):
-    problem, control = any_problem(rng, int(rng.integers(1, 4)), horizon=2.0)
+    robot = (ROBOT, LOOSE, UNSURE)[rng.integers(3)]
+    problem, control = any_problem(rng, int(rng.integers(1, 4)), robot, horizon=2.0)
     known = problem.evaluate(control).known
     true = dense_covariance(problem, known.corrections.rows)
-    np.testing.assert_allclose(known.before[problem.space.corrected], true, atol=1e-8)
+    np.testing.assert_allclose(known.corrections.before, true, atol=1e-8)
 
 
-def test_between_corrections_what_is_left_is_as_large_as_in_samples(rng):
-    problem, control = any_problem(rng, 3, horizon=2.0)
+@pytest.mark.parametrize("robot", [ROBOT, LOOSE, UNSURE])
+def test_between_corrections_what_is_left_is_as_large_as_in_samples(rng, robot):
+    problem, control = any_problem(rng, 3, robot, horizon=2.0)
     known, count = problem.evaluate(control).known, 20_000
     errors = np.array(list(sampled_errors(problem, known, count, rng)))
-    for stated, others in ((known.before, errors), (known.lagged, errors[1:])):
+    for stated, others in ((known.off, errors), (known.lagged, errors[1:])):
         pairs = zip(errors, others, strict=False)
         found = np.array([a.T @ b / count for a, b in pairs])
+        found = 0.5 * (found + found.mT)
         np.testing.assert_allclose(found, stated, atol=6.0 * np.abs(stated).max() / count**0.5)
 
 

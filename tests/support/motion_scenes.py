@@ -4,20 +4,32 @@ from dataclasses import replace
 
 import numpy as np
 
+from glissando import SensorParameter
 from glissando.planning.scene.error_belief import ErrorBelief
 from glissando.planning.scene.motion_problem import MotionProblem
 from glissando.planning.scene.motion_space import motion_space
 from glissando.planning.scene.obstacles import HalfSpace, RoundedBox, capsule, sphere
 from glissando.planning.scene.scene import Actuator, Scene, SpaceZone, Target, Weights
+from glissando.planning.scene.sensor_errors import sensor_errors
 from glissando.planning.scene.tendon_body import tendon_body
 from glissando.planning.sliding_sensor import SlidingSensor
 from tendon_robot import LENGTH, tendon_robot
 
 ROBOT = tendon_robot(std=2e-4, psd_moment=2e-8)
+HELD = replace(ROBOT, prior=replace(ROBOT.prior, var_base=np.full(6, 1e-12)))
 LOOSE = replace(
     tendon_robot(std=2e-4, psd_moment=2e-8, play=[4e-4, 0.0, 0.0, 2e-4, 0.0, 0.0]),
     prior=replace(ROBOT.prior, var_base=np.repeat([1e-6, 4e-4], 3)),
 )
+UNSURE = replace(  # of where its coil sits, which drifts as well
+    LOOSE,
+    sensor_parameters=(
+        SensorParameter("m", "mount", ("coil",), np.zeros(6), [1e-3] * 3 + [0.02] * 3),
+        SensorParameter("d", "mount", ("coil",), np.zeros(6), [1e-3] * 3 + [0.0] * 3, 2.0),
+        SensorParameter("f", "frame", ("coil",), np.zeros(6), [1e-3] * 6),
+    ),
+)
+MOUNTED = replace(LOOSE, sensor_parameters=UNSURE.sensor_parameters[:1])
 COIL = SlidingSensor(np.array([1e-3] * 3 + [0.01] * 2) ** 2, rate=20.0)
 TENDON = Actuator(-2e-3, 4e-3, 4e-3, 4e-3, 0.0)
 SLIDE = Actuator(0.05, LENGTH, 0.05, 0.1, 0.15)
@@ -60,10 +72,11 @@ def any_problem(rng, every=1, robot=ROBOT, **fields):
     ]
     scene = small_scene(weights=weights, zones=zones, **fields)
     body = tendon_body(robot, 0.025)
-    root = 0.3 * rng.standard_normal((body.errors, body.errors))
-    belief = ErrorBelief(
-        0.5 * rng.standard_normal(body.errors), root @ root.T + 0.1 * np.eye(len(root))
-    )
+    straight = body.shapes(np.zeros((1, len(body.rod.tendons)))).pose[0, -1]
+    sensed, _ = sensor_errors(scene.sensors, robot, straight)
+    size = body.errors + sensed.std.size
+    root = 0.3 * rng.standard_normal((size, size))
+    belief = ErrorBelief(0.5 * rng.standard_normal(size), root @ root.T + 0.1 * np.eye(size))
     space = motion_space(scene)
     space = space.with_moments(
         np.linspace(0.0, scene.horizon, every * (space.moments.size - 1) + 1)
@@ -71,4 +84,4 @@ def any_problem(rng, every=1, robot=ROBOT, **fields):
     times = space.paths[0].steps + 2
     pulled = rng.uniform(-1e-3, 3e-3, (6, times))
     control = space.follow(np.vstack([pulled, rng.uniform(0.05, LENGTH, (1, times))]))
-    return MotionProblem(scene, body, belief, space), control
+    return MotionProblem(scene, body, belief, space, sensed=sensed), control

@@ -29,6 +29,6 @@ def correction_speed(problem: MotionProblem, at: Evaluation) -> float:
     by_pull = balance.strain_by_displacement()[corrected, :, 3:5].reshape(moments, -1, count)
     by_error = by_error[corrected, :, 3:5].reshape(moments, by_pull.shape[1], -1)
     pulled = np.linalg.pinv(by_pull, rcond=_EASE) @ by_error
-    learned = known.before - known.after
+    learned = known.own(known.before - known.after)
     variance = np.einsum("ktq,kqp,ktp->kt", pulled, learned, pulled)
     return float(_LIKELY * np.sqrt(max(variance.max(), 0.0)) / problem.space.correction)

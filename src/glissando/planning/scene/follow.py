@@ -90,11 +90,11 @@ class MotionFollower:
         self._require_time(time)
         if time <= self.time:
             return
-        self.belief = self.belief.after(time - self.time, self.problem.body.time_scale)
+        self.belief = self.belief.after(time - self.time, self.problem.time_scale)
         self.time = time
 
     def add(self, readings: Readings) -> None:
-        """Take readings of a coil at times of the plan, m and s.
+        """Take readings of a coil at times of the plan, m and s; their name says which of several.
 
         Those off the robot, and those that no such robot can give, are counted in `dropped`. The
         limit is wide: a robot is never quite its model, and has to be seen all the same.
@@ -107,9 +107,14 @@ class MotionFollower:
         readings, count = readings.select(on), int(np.sum(on))
         if not count:
             return
+        streams = {sensor.name for sensor in self.problem.scene.sensors}
+        if readings.name not in streams and len(streams) == 1:
+            readings = readings.changed(name=min(streams))
+        readings = self.problem.sensed.expected(readings)
         with one_thread():
             pulled = self.at(readings.time)[:, : self._corrections.shape[1]]
-            shapes = self.problem.body.shapes(pulled, np.tile(self.belief.mean, (count, 1)))
+            body, mean = self.problem.body, self.belief.mean
+            shapes = body.shapes(pulled, np.tile(mean[: body.errors], (count, 1)))
             at, weights = self.problem.neighbours(readings.arclength)
             own = np.arange(count)
             twist = shapes.body_twist_at(own[:, None], at)
@@ -117,8 +122,11 @@ class MotionFollower:
             pose = shapes.pose_at(readings.arclength)[own, own]
             state = State(pose, np.zeros((count, 6)), np.zeros((count, 6)))
             white = sqrt_information(readings.cov)
-            rows = white @ readings.jacobian(state)[..., :6] @ twist
-            residual = -(white @ readings.residual(state)[..., None])
+            by_state = readings.jacobian(state)
+            repeated = self.problem.sensed.slopes(readings, state, by_state)
+            off = readings.residual(state) + repeated @ mean[body.errors :]
+            rows = white @ np.concatenate([by_state[..., :6] @ twist, repeated], axis=-1)
+            residual = -(white @ off[..., None])
             size = rows.shape[-1]
             spread = np.eye(rows.shape[1]) + rows @ self.belief.cov @ rows.mT
             squared = np.sum(residual[..., 0] * np.linalg.solve(spread, residual)[..., 0], axis=-1)
@@ -138,9 +146,9 @@ class MotionFollower:
         """
         self._require_time(time)
         values, count = self.planned(time), self._corrections.shape[1]
-        scale = self.problem.body.time_scale
-        start = self.problem.belief.after(time, scale).mean
-        mean = self.belief.after(max(time - self.time, 0.0), scale).mean
+        since, size = max(time - self.time, 0.0), self.problem.body.errors
+        start = self.problem.expected(time)
+        mean = self.belief.after(since, self.problem.time_scale).mean[:size]
         pulled, before = values[:count], self._corrections[1]
         low, high = np.clip(
             pulled + before + self._changes(min(self.due, time), time), *self._limits

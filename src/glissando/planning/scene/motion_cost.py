@@ -26,7 +26,7 @@ class Evaluation:
         values: Values (K, C) of the actuators at the moments.
         shapes: The expected shapes.
         known: What is known of the model error.
-        row_slopes: Slopes (M, r, q) of the whitened rows of readings by the sensors' places.
+        row_slopes: Slopes (C, r, q) of the whitened rows of readings by the sensors' places.
         clearances: How far the body is from obstacles.
         slopes: Slopes (O, K, N, 3) of the distances.
         hits: The bound of the risk.
@@ -57,7 +57,7 @@ class Evaluation:
     def cov(self) -> Array:
         """Covariances (K, N, 3, 3) of the places, world frame, m²."""
         moves = self.shapes.moves
-        return moves @ self.known.before[:, None] @ moves.mT
+        return moves @ self.known.off[:, None] @ moves.mT
 
 
 @dataclass
@@ -67,22 +67,25 @@ class Slopes:
     Attributes:
         place: By the places (K, N, 3).
         moves: By how they move with the model error (K, N, 3, q).
-        before: By the covariance of that (K, q, q).
+        off: By the covariance of what the body is off by, as such an error (K, q, q).
         lagged: By the covariance with that a moment later (K−1, q, q).
+        before: By that of what is not known of the model error at the corrections (C, q, q).
         control: By the control points (C, S+2).
     """
 
     place: Array
     moves: Array
-    before: Array
+    off: Array
     lagged: Array
+    before: Array
     control: Array
 
     @staticmethod
     def zero(at: Evaluation) -> Slopes:
         """No slopes."""
-        like = at.shapes.place, at.shapes.moves, at.known.before, at.known.lagged, at.control
-        return Slopes(*map(np.zeros_like, like))
+        known, shapes = at.known, at.shapes
+        covs = known.off, known.lagged, known.corrections.off
+        return Slopes(*map(np.zeros_like, (shapes.place, shapes.moves, *covs, at.control)))
 
 
 def tip_misses(scene: Scene, space: MotionSpace, at: Evaluation) -> list[tuple[int, Array]]:
@@ -119,11 +122,11 @@ def _accuracy(scene: Scene, space: MotionSpace, at: Evaluation, slopes: Slopes |
     for (k, _), target in zip(tip_misses(scene, space, at), scene.targets, strict=True):
         weight = scene.weights.accuracy / target.tolerance**2
         moves = at.shapes.moves[k, -1]
-        spread = moves @ at.known.before[k]
+        spread = moves @ at.known.off[k]
         total += weight * float(np.sum(spread * moves))
         if slopes is not None:
             slopes.moves[k, -1] += 2.0 * weight * spread
-            slopes.before[k] += weight * moves.T @ moves
+            slopes.off[k] += weight * moves.T @ moves
     return total
 
 
@@ -161,14 +164,14 @@ def _zone(
     total = float(inside.sum()) + 1e-9
     scale = scene.weights.information * zone.weight / (scene.robot_radius**2 * total)
     moves = at.shapes.moves[k]
-    spread = moves @ at.known.before[k, None]
+    spread = moves @ at.known.corrections.own(at.known.corrections.before)[:, None]
     variance = np.sum(spread * moves, axis=(-2, -1))
     value = scale * float(np.sum(inside * variance))
     if slopes is not None:
         by_inside = scale * variance - value / total
         slopes.place[k] += by_inside[..., None] * by_place
         slopes.moves[k] += 2.0 * (scale * inside)[..., None, None] * spread
-        slopes.before[k] += np.einsum("kn,knai,knaj->kij", scale * inside, moves, moves)
+        slopes.before += np.einsum("kn,knai,knaj->kij", scale * inside, moves, moves)
     return value
 
 

@@ -8,7 +8,7 @@ one backward pass takes all slopes back to the control points.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,6 +28,7 @@ from glissando.planning.scene.motion_space import MotionSpace
 from glissando.planning.scene.obstacles import distances
 from glissando.planning.scene.risk import Clearances, bound_hits
 from glissando.planning.scene.scene import Scene
+from glissando.planning.scene.sensor_errors import SensorErrors
 from glissando.planning.scene.tendon_body import BodyShapes, BySeen, TendonBody
 from glissando.planning.sliding_sensor import SlidingSensor
 
@@ -41,9 +42,10 @@ class MotionProblem:
     Attributes:
         scene: The scene.
         body: The body.
-        belief: What is known of the model error at the start.
+        belief: What is known of the model error at the start, and of the sensors' errors.
         space: The motions.
         senses: Whether readings to come are counted on.
+        sensed: What is unknown of the sensors.
     """
 
     scene: Scene
@@ -51,10 +53,18 @@ class MotionProblem:
     belief: ErrorBelief
     space: MotionSpace
     senses: bool = True
+    sensed: SensorErrors = field(default_factory=SensorErrors)
 
-    def fade(self, time: float | Array) -> Array:
-        """What is left of a model error after times (…), s."""
-        return np.exp(-np.asarray(time) / self.body.time_scale)
+    @cached_property
+    def time_scale(self) -> Array:
+        """How long each number of the belief lasts (n,), s."""
+        own = np.full(self.body.errors, self.body.time_scale)
+        return np.concatenate([own, self.sensed.time_scale])
+
+    def expected(self, time: float | Array) -> Array:
+        """Model errors (…, q) that are expected at times (…), s."""
+        fade = np.exp(-np.asarray(time)[..., None] / self.body.time_scale)
+        return np.asarray(fade * self.belief.mean[: self.body.errors])
 
     @cached_property
     def radius(self) -> float:
@@ -78,10 +88,11 @@ class MotionProblem:
         """
         values = self.space.basis @ control.T
         start = None if like is None else like.shapes.balance.strain
-        error = self.fade(self.space.moments)[:, None] * self.belief.mean
-        shapes = self.body.shapes(values[:, : len(self.scene.tendons)], error, start)
+        error, pulled = self.expected(self.space.moments), values[:, : len(self.scene.tendons)]
+        shapes = self.body.shapes(pulled, error, start)
         rows, row_slopes = self._rows(shapes, values)
-        known = predict_covariance(self.belief.cov, rows, float(self.fade(self.space.correction)))
+        fade = np.exp(-self.space.correction / self.time_scale)
+        known = predict_covariance(self.belief.cov, rows, fade, self.body.left)
         left = KnownError(known, self.space.position)
         clearances, slopes = self._clearances(shapes, left)
         hits = bound_hits(clearances)
@@ -117,7 +128,7 @@ class MotionProblem:
     def _log_risk_slopes(self, at: Evaluation) -> Slopes:
         """Partial slopes of `log_risk`."""
         slopes, share = Slopes.zero(at), 1.0 / max(at.hits.value, 1e-30)
-        slopes.before += share * at.hits.by_cov
+        slopes.off += share * at.hits.by_cov
         slopes.lagged += share * at.hits.by_lagged
         self._add_hits(at, share, slopes)
         deep = np.minimum(at.clearances.mean, 0.0) / self.scene.robot_radius**2
@@ -142,7 +153,7 @@ class MotionProblem:
 
     def _back(self, at: Evaluation, slopes: Sequence[Slopes]) -> list[Array]:
         """Slopes (n,) by the free numbers, of values whose partial slopes are given."""
-        by_rows = np.stack([at.known.back(one.before, one.lagged) for one in slopes])
+        by_rows = np.stack([at.known.back(one.off, one.lagged, one.before) for one in slopes])
         by_twist, by_slides = self._back_rows(at, by_rows)
         by_place, by_moves = (np.stack([getattr(one, name) for one in slopes])
                               for name in ("place", "moves"))  # fmt: skip
@@ -161,7 +172,7 @@ class MotionProblem:
         by_error = (slope[..., None, :] @ shapes.moves)[..., 0, :]
         mean = signed - self.radius
         floor = self.scene.model_std
-        return Clearances(mean, by_error, known.before, known.lagged, floor), slope
+        return Clearances(mean, by_error, known.off, known.lagged, floor), slope
 
     def _add_hits(self, at: Evaluation, weight: float, slopes: Slopes) -> None:
         """Add slopes of the risk by places and by how they move with the model error."""
@@ -177,20 +188,24 @@ class MotionProblem:
         np.add.at(slopes.moves, here, normal[:, :, None] * by_error[:, None, :])
 
     def _rows(self, shapes: BodyShapes, values: Array) -> tuple[Array, Array]:
-        """Whitened rows (C, r, q) of the readings of each correction, and their slopes by place."""
+        """Whitened rows (C, r, n) of the readings of each correction, and their slopes by place.
+
+        The slopes (C, r, q) are of what the rows say of the model error.
+        """
         values = values[self.space.corrected]
-        rows = [np.zeros((len(values), 0, self.body.errors))]
-        slopes = [rows[0]]
+        rows = [np.zeros((len(values), 0, self.time_scale.size))]
+        slopes = [np.zeros((len(values), 0, self.body.errors))]
         first = len(self.scene.tendons)
         for c, sensor in enumerate(self.scene.sensors if self.senses else ()):
-            own = self._white[c]
+            own, repeated = self._white[c], self._repeated[c]
+            repeated = np.broadcast_to(repeated, (len(values), *repeated.shape))
             for behind in sensor.behind:
                 at, weights = self.neighbours(values[:, first + c] - behind)
                 near = shapes.body_twist_at(self.space.corrected[:, None], at)
                 both = (weights @ near.reshape(*near.shape[:2], -1)).reshape(
                     len(near), 2, *near.shape[2:]
                 )
-                rows.append(own @ both[:, 0])
+                rows.append(np.concatenate([own @ both[:, 0], repeated], axis=-1))
                 slopes.append(own @ both[:, 1])
         return np.concatenate(rows, axis=1), np.concatenate(slopes, axis=1)
 
@@ -198,6 +213,7 @@ class MotionProblem:
         """Slopes by twists and (G, K, L) by slides, of those (G, C, r, q) by the rows."""
         by_twist: list[BySeen] = []
         first, corrected = len(self.scene.tendons), self.space.corrected
+        by_rows = by_rows[..., : self.body.errors]
         by_slides = np.zeros((len(by_rows), len(at.values), at.values.shape[1] - first))
         row = 0
         for c, sensor in enumerate(self.scene.sensors if self.senses else ()):
@@ -215,6 +231,12 @@ class MotionProblem:
     def _white(self) -> list[Array]:
         """Whitened rows (r, 6) of each sensor by its pose, worth its readings of a correction."""
         return [sensor_rows(sensor, self.space.correction) for sensor in self.scene.sensors]
+
+    @cached_property
+    def _repeated(self) -> list[Array]:
+        """Whitened rows (r, m) of each sensor by what is unknown of the sensors."""
+        time = self.space.correction
+        return [self.sensed.rows(sensor, time) for sensor in self.scene.sensors]
 
     def neighbours(self, arclength: Array) -> tuple[Index, Array]:
         """Four places (M, 4) about arclengths (M,), and their weights and slopes (M, 2, 4)."""

@@ -73,7 +73,7 @@ def reach_target(problem: MotionProblem, number: int) -> Array:
     scene, body, target = problem.scene, problem.body, problem.scene.targets[number]
     paths = problem.space.paths[: len(scene.tendons)]
     lower, upper = (np.array([getattr(a, end) for a in paths]) for end in ("lower", "upper"))
-    error = problem.fade(target.time) * problem.belief.mean
+    error = problem.expected(target.time)
     rng = np.random.default_rng(number)
     best: tuple[float, Array] = (np.inf, lower)
     for attempt in range(4):

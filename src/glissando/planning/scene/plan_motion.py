@@ -7,13 +7,14 @@ allowed to be as much larger as leaves the risk what it may be.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from glissando._kernels.threads import one_thread
-from glissando.errors import GlissandoError
+from glissando.errors import FalseConfidenceWarning, GlissandoError
 from glissando.estimation.tendon_prediction import warn_of_weight
 from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
@@ -34,6 +35,7 @@ from glissando.planning.scene.motion_starts import (
 from glissando.planning.scene.sampled_risk import sample_risk
 from glissando.planning.scene.scene import Scene
 from glissando.planning.scene.scene_checks import require_scene
+from glissando.planning.scene.sensor_errors import sensor_errors
 from glissando.planning.scene.tendon_body import tendon_body
 
 Progress = Callable[[int, int, str], None]
@@ -120,16 +122,32 @@ def motion_problem(
 
     Warns:
         FalseConfidenceWarning: The robot's weight, which is left out, moves it by more than is
-            claimed.
+            claimed, or what is unknown of a sensor is left out.
     """
     require_scene(scene, robot)
     spacing = max(_SPACING * scene.robot_radius, robot.length / _PLACES)
     body = tendon_body(robot, spacing)
-    belief = ErrorBelief.unknown(body.errors)  # nothing but what [tendons] and [base] state
+    straight = body.shapes(np.zeros((1, len(body.rod.tendons)))).pose[0, -1]
+    sensed, left = sensor_errors(scene.sensors, robot, straight)
+    if left and senses:
+        _warn_of_sensors(left)
+    size = body.errors + sensed.std.size  # nothing but what the robot file states
+    belief = ErrorBelief.unknown(size)
     warn_of_weight(robot, body.straight_std)
     step = step or max(1.0, scene.horizon / _PIECES)
     space = motion_space(scene, step)
-    return MotionProblem(scene, body, belief, space, senses)
+    return MotionProblem(scene, body, belief, space, senses, sensed)
+
+
+def _warn_of_sensors(unknown: list[str]) -> None:
+    """Warn that it is left out where or when a scene's sensors may have read."""
+    warnings.warn(
+        f"The risk leaves out that {', '.join(unknown)} {'is' if len(unknown) < 2 else 'are'} not "
+        f"known: hits may be far more frequent than is stated. Calibrate the sensor, and state "
+        f"what was found without a std.",
+        FalseConfidenceWarning,
+        stacklevel=3,
+    )
 
 
 def plan_motion(

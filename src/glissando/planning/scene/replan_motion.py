@@ -106,7 +106,7 @@ class MotionReplanner:
             return
         speed = (follower.planned(start) - follower.planned(start - _BEFORE)) / _BEFORE
         allowed = self.plan.problem.scene.delta - self.spent
-        belief = follower.belief.after(start - follower.time, problem.body.time_scale)
+        belief = follower.belief.after(start - follower.time, problem.time_scale)
         values = follower.at(start)
         state = values, _slowed(problem.space.paths, values, speed)
         self.planner.submit(partial(continue_motion, follower.plan, start, state, belief, allowed))

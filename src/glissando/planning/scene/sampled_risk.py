@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from glissando.geometry.covariance import half_axes
 from glissando.geometry.se3 import Array
 from glissando.planning.scene.error_belief import KnownError
 from glissando.planning.scene.motion_cost import Evaluation
@@ -69,26 +70,28 @@ def at_close_places(
 
 
 def _sampled_errors(known: KnownError, count: int, rng: np.random.Generator) -> Iterator[Array]:
-    """Samples (count, q) of what is left of the model error, of one moment after another."""
+    """Samples (count, q) of what the body is off by, as an error, of one moment after another.
+
+    What is known changes by as much as its error does when readings come, the other way.
+    """
     at, (correction, share) = known.corrections, known.shares
-    error = rng.standard_normal((count, at.before.shape[-1])) @ _root(at.before[0]).T
+    error = rng.standard_normal((count, at.before.shape[-1])) @ half_axes(at.before[0]).T
+    found, stirred = np.zeros_like(error), np.sqrt(1.0 - at.fade**2)
+    size = len(at.left)
+    off = error[:, :size]
     for k in range(len(at.before) - 1):
-        gain = at.fade * at.free[k]
-        rest = at.before[k + 1] - gain @ at.before[k] @ gain.T
-        later = error @ gain.T + rng.standard_normal(error.shape) @ _root(rest).T
-        wandered, before = np.zeros_like(error), 0.0
+        rest = at.after[k] - at.free[k] @ at.before[k] @ at.free[k].T
+        read = error @ at.free[k].T + rng.standard_normal(error.shape) @ half_axes(rest).T
+        found = at.fade * (found + error - read)
+        error = at.fade * read + stirred * rng.standard_normal(error.shape)
+        later = error[:, :size] + found[:, :size] @ at.left.T
+        wandered, before = np.zeros_like(off), 0.0
         for part in share[correction == k]:
             gone, own = at.bridge(np.array([before, part]), np.array([part, part]))
             of_before = float(at.bridge(np.array(before), np.array(before)))
             keep = gone / of_before if of_before else 0.0
             fresh = np.sqrt(max(own - keep * gone, 0.0))
-            wandered = keep * wandered + fresh * rng.standard_normal(error.shape)
+            wandered = keep * wandered + fresh * rng.standard_normal(off.shape)
             before = float(part)
-            yield (1.0 - part) * error + part * later + wandered
-        error = later
-
-
-def _root(cov: Array) -> Array:
-    """A root (q, q) of a covariance that may be singular."""
-    value, axes = np.linalg.eigh(0.5 * (cov + cov.T))
-    return axes * np.sqrt(np.maximum(value, 0.0))
+            yield (1.0 - part) * off + part * later + wandered
+        off = later

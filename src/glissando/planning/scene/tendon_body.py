@@ -24,7 +24,8 @@ from glissando.model.tendons.statics import Equilibrium, equilibrium
 from glissando.model.tendons.tendon_rod import TendonRod, tendon_rod
 from glissando.planning.scene.equilibrium_slopes import back_to_displacement
 
-_KNOWN = 0.1  # of what the tip's standard deviation is without, that a known base may make it
+_KNOWN = 0.02  # of the tendons' distance from the backbone, that a known base may move the tip
+_EASE = 1e-3  # of the largest slope of bends by displacements, below which none is corrected
 
 BySeen = tuple[Index, Index, Array]
 """Shapes and places by number (…,), and slopes (G, …, 6, q) of G values by their twists."""
@@ -75,6 +76,24 @@ class TendonBody:
     def straight_std(self) -> float:
         """Root of the total variance of the tip's position while no tendon pulls, m."""
         return float(np.linalg.norm(self.shapes(np.zeros((1, len(self.rod.tendons)))).moves[0, -1]))
+
+    @cached_property
+    def left(self) -> Array:
+        """What tendons that keep the bends leave of a model error that is known (q, q).
+
+        All of a base that stands elsewhere, and of moments as many as there are more bends than
+        tendons; of a straight body, in whose bent shapes it is much the same. Errors whose bends
+        are E and displacements whose bends are B leave (I − B B⁺) E of the bends.
+        """
+        count, own = len(self.rod.tendons), self.errors - self.base.shape[1]
+        shapes = self.shapes(np.zeros((1, count)))
+        bends = shapes.strain_by_error[0, :, 3:5].reshape(-1, self.errors)[:, :own]
+        pulled = shapes.strain_by_displacement[0, :, 3:5].reshape(-1, count)
+        rest = bends - pulled @ (np.linalg.pinv(pulled, rcond=_EASE) @ bends)
+        out = np.diag(np.repeat([0.0, 1.0], [own, self.base.shape[1]]))
+        if np.linalg.norm(rest) > _EASE * np.linalg.norm(bends):
+            out[count:own, :own] = np.linalg.pinv(bends[:, count:]) @ rest
+        return out
 
     @property
     def moment_std(self) -> Array:
@@ -128,7 +147,7 @@ def tendon_body(robot: Robot, spacing: float) -> TendonBody:
     time_scale, base = float(getattr(robot.prior, "time_scale", np.inf)), np.sqrt(rod.var_base)
     body = TendonBody(rod, steps, time_scale, std, np.zeros((6, 0)))
     moved = float(np.linalg.norm(base * np.repeat([1.0, robot.length], 3)))
-    known = moved < _KNOWN * body.straight_std
+    known = moved < _KNOWN * float(np.min(rod.tendons.radius))
     return body if known else replace(body, base=np.diag(base))
 
 
