@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
 from scipy.stats import chi2
 
 import rigs_drawn as rigs
+from draws import generators, law
 from glissando.calibration.rig.calibrate import calibrate
 from glissando.calibration.rig.recording_data import calibrated, recording_data
 from glissando.calibration.rig.result import Calibration, apply, load_calibration
@@ -103,6 +105,36 @@ def test_a_calibration_file_keeps_the_channel(tmp_path):
     made.save(tmp_path / "rig.toml")
     assert load_calibration(tmp_path / "rig.toml").channel == made.channel
     assert {"channel radius", "channel angle"} <= {row[0] for row in made.displayed()}
+
+
+@law
+@given(generators)
+def test_the_frame_is_printed_with_deviations_in_the_world(rng):
+    rig = Rig(se3.exp(rng.standard_normal(6)), 1, 0.7, 0.0)
+    root = 1e-3 * rng.standard_normal((len(PARAMETERS), len(PARAMETERS)))
+    made = Calibration(rig, root @ root.T, "coil", 0.0)
+
+    def numbers(off):
+        pose = rig.T_wt @ se3.exp(off)
+        return np.concatenate([pose[:3, 3], se3.so3_log(pose[:3, :3])])
+
+    slope = np.stack([(numbers(d) - numbers(-d)) / 2e-6 for d in 1e-6 * np.eye(6)], axis=1)
+    true = np.sqrt(np.diagonal(slope @ made.cov[:6, :6] @ slope.T))
+    stated = [std for _, std in made.values().values()][:6]
+    # Positions and turns are printed apart, so what couples them does not show.
+    np.testing.assert_allclose(stated, true, rtol=1e-5)
+
+
+def test_a_file_of_a_channel_states_the_mount_in_the_channel_that_was_found(tmp_path):
+    rig = Rig(np.eye(4), -1, 0.7, 0.0, mount=np.array([5e-4, -4e-4, 0.01, 0.02]))
+    made = Calibration(
+        rig, 1e-6 * np.eye(len(PARAMETERS)), "coil", 0.0, channel=Channel(0.005, 0.7)
+    )
+    made.save(tmp_path / "rig.toml")
+    found = load_calibration(tmp_path / "rig.toml")
+    np.testing.assert_allclose(found.rig.mount, rig.mount, atol=1e-12)
+    (mount,) = (p.value for p in found.sensor_parameters() if p.kind == "mount")
+    np.testing.assert_allclose(mount, [0.0, 0.0, 0.0, 0.01, 0.02, 0.0], atol=1e-5)
 
 
 @pytest.fixture

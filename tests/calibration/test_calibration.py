@@ -245,6 +245,24 @@ def test_a_slide_that_rests_while_the_coil_is_seen_shows_nothing_of_itself():
     assert any("lead scale is known little better" in w for w in made.warnings)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("shape", "sliding"), [("posed", "calibrate"), ("waving", "two speeds"), ("straight", "even")]
+)
+def test_without_motion_capture_a_moving_robot_makes_nothing_known_too_well(shape, sliding):
+    names = [PARAMETERS.index(name) for name in ("lead", "slide delay")]
+    worst = 0.0
+    for seed in range(500, 506):
+        data, known = rigs.drawn(seed, shape, sliding=sliding)
+        made = calibrate(replace(data, bodies={}), ROBOT)
+        true = rigs.at_epoch(known, made.rig.epoch)
+        apart = true.slide_clock[0] - true.tracker_clock[0]
+        off = np.array([made.rig.lead - true.lead, made.rig.slide_clock[0] - apart])
+        worst = max(worst, float(np.abs(off / made.std[names]).max()))
+        assert made.rig.direction == known.direction
+    assert worst < 3.0
+
+
 def test_a_calibration_without_a_solution_ends_in_a_sentence(monkeypatch):
     def singular(*_):
         raise np.linalg.LinAlgError("Singular matrix")

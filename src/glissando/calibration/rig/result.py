@@ -69,14 +69,21 @@ class Calibration(ShortRepr):
         return bool(np.any(self.std[:6] < ANYWHERE))
 
     def values(self) -> dict[str, tuple[float, float]]:
-        """Value and standard deviation by parameter; the frame as position and rotation vector."""
-        rig = self.rig
+        """Value and standard deviation by parameter; the frame as position and rotation vector.
+
+        Both of the frame are in the world, where `std` is of errors on the tracker's own axes.
+        """
+        rig, std = self.rig, self.std
+        turn = rig.T_wt[:3, :3]
+        slope = se3.right_jacobian_inverse(np.append(np.zeros(3), se3.so3_log(turn)))[3:, 3:]
+        for at, by in ((slice(0, 3), turn), (slice(3, 6), slope)):
+            std[at] = np.sqrt(np.diagonal(by @ self.cov[at, at] @ by.T))
         frame = [*rig.T_wt[:3, 3], *se3.so3_log(rig.T_wt[:3, :3])]
         rest = [rig.zero, rig.lead, rig.backlash, *rig.tracker_clock, *rig.slide_clock]
         numbers = [*frame, *rig.mount, *rest]
         return {
             name: (float(value), float(std))
-            for name, value, std in zip(PARAMETERS, numbers, self.std, strict=True)
+            for name, value, std in zip(PARAMETERS, numbers, std, strict=True)
         }
 
     def displayed(self) -> list[tuple[str, float, float, str]]:
@@ -93,6 +100,13 @@ class Calibration(ShortRepr):
             out.append(("channel angle", 1e3 * turned, 1e3 * float(sigma[1]), "mrad"))
         return out
 
+    def _channel_tables(self) -> dict[str, Any]:
+        """The channel that was found, and how far (x, y) it is from the stated one, m."""
+        if self.channel is None:
+            return {}
+        moved = self.rig.mount[:2].tolist()
+        return {"channel": self.channel.to_table(), "channel_offset": moved}
+
     def _polar(self) -> tuple[tuple[float, float], Array]:
         """Radius and angle of the channel, with their standard deviations (2,)."""
         assert self.channel is not None
@@ -100,6 +114,11 @@ class Calibration(ShortRepr):
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         std = np.sqrt(np.diagonal(turn @ self.cov[6:8, 6:8] @ turn.T))
         return (radius, angle), std / [1.0, max(radius, 1e-9)]
+
+    @property
+    def _mount(self) -> Array:
+        """Mount (4, 4) of the coil in the cross-section, or in the channel that was found."""
+        return self.rig.coil_mount if self.channel is None else self.rig.tilt
 
     def sensor_parameters(self) -> tuple[SensorParameter, ...]:
         """Frame, mount and delay of the coil as known sensor parameters for a robot file.
@@ -109,11 +128,9 @@ class Calibration(ShortRepr):
         """
         if not self.placed:
             return ()
-        twist = np.zeros(6)
-        twist[MOUNT] = self.rig.mount
         parts = {
             "frame": se3.log(self.rig.T_wt),
-            "mount": twist,
+            "mount": se3.log(self._mount),
             "time_offset": self.rig.tracker_clock[:1],
         }
         streams = (self.coil_name,)
@@ -133,9 +150,9 @@ class Calibration(ShortRepr):
             "frames": {"tracker": {**pose_table(rig.T_wt), "std": std[:6].tolist()}},
             "coil": {
                 "name": self.coil_name,
-                "mount": {**pose_table(rig.coil_mount), "std": std[6:10].tolist()},
+                "mount": {**pose_table(self._mount), "std": std[6:10].tolist()},
                 "clock": _clock(rig.tracker_clock, std[13:15]),
-                **({"channel": self.channel.to_table()} if self.channel else {}),
+                **self._channel_tables(),
             },
             "slide": {
                 "zero": rig.zero,
@@ -186,12 +203,14 @@ def load_calibration(path: str | Path) -> Calibration:
     direction = slide.number("direction", positive=False)
     if direction not in (1.0, -1.0):
         raise slide.fail("direction", f"is {direction:g}; give 1 or -1.")
+    mount = se3.log(coil.subtable("mount").pose())[MOUNT]
+    mount[:2] += coil.vector("channel_offset", 2, np.zeros(2))
     rig = Rig(
         frames.subtable("tracker").pose(),
         int(direction),
         slide.number("zero", positive=False),
         epoch,
-        se3.log(coil.subtable("mount").pose())[MOUNT],
+        mount,
         slide.number("lead"),
         slide.number("backlash", positive=False),
         _read_clock(coil),

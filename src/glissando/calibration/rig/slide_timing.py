@@ -18,6 +18,9 @@ _NUDGE = 0.02  # s over which the carriage's speed is differenced
 _ROUNDS = 5
 _EXACT = 1e-8  # m, standard deviation of a backlash that is known
 _CORRELATED = 4.0  # neighbouring speeds that share the noise of a coil reading
+_MEMORY = 5.0  # s over which the robot's own motion is correlated
+_FINEST = 1e-6  # m/s that no coil's speed is known better
+_MOVED = 0.1  # of the coil's squared speed: more that is not the carriage's is the robot's
 
 
 def slide_lag(data: RigData) -> float:
@@ -41,8 +44,12 @@ def slide_lag(data: RigData) -> float:
 def against_slide(data: RigData, expected: Rig, std: Array) -> tuple[Rig, Array]:
     """Direction, lead, backlash and slide delay relative to the tracker, by regression of speeds.
 
-    The robot's own motion counts as noise. While the carriage moves at one speed, play looks like a
-    late clock: of the backlash what was expected counts as well.
+    The robot's own motion counts as noise, whose correlation over seconds is taken from the
+    residuals themselves; what was expected counts as well. While the carriage moves at one speed,
+    play looks like a late clock. Where the robot moved much, its motion may look like a lead or a
+    delay: then the direction is found and the nearest delay, and nothing is known the better.
+
+    Source: Newey and West 1987, for the covariance of least squares under correlated noise.
 
     Args:
         data: The session.
@@ -55,32 +62,69 @@ def against_slide(data: RigData, expected: Rig, std: Array) -> tuple[Rig, Array]
     cov, play = np.diag(std**2), expected.backlash
     if not data.slides or np.ptp(data.travel) < 1e-3:
         return expected, cov
-    known = np.diag([0.0, 0.0, max(std[_FOUND[2]], _EXACT) ** -2.0])
-    lag, gain = slide_lag(data), 0.0
+    start = slide_lag(data)
+    regressed = _regressed(data, expected, std, start)
+    if regressed is None:
+        return expected, cov
+    (gain, lag, play), inverse, share = regressed
+    direction = 1 if gain > 0.0 else -1
+    if share > _MOVED:
+        gain, lag, play = expected.lead, start, expected.backlash
+    else:
+        turn = np.diag([direction, 1.0, 1.0])
+        cov[np.ix_(_FOUND, _FOUND)] = turn @ inverse @ turn
+    clock = np.array([lag, 0.0])
+    found = replace(expected, direction=direction, lead=abs(gain), backlash=play, slide_clock=clock)
+    return found, cov
+
+
+def _regressed(
+    data: RigData, expected: Rig, std: Array, lag: float
+) -> tuple[Array, Array, float] | None:
+    """Signed lead, slide delay and backlash (3,), their covariance, and what they leave.
+
+    That is the share of the coil's squared speed that is not the carriage's. None where the slide
+    rested while the coil was seen.
+    """
+    known = np.diag(np.maximum(std[_FOUND], _EXACT) ** -2.0)
+    found = np.array([0.0, lag, expected.backlash])
     stamps, coil_speed = _coil_speeds(data)
     for _ in range(_ROUNDS):
+        gain, lag, play = found
         followed = data.travel - 0.5 * play * data.side
         behind, speed, ahead = (
             _speeds(data, followed, stamps + lag + h) for h in (-_NUDGE, 0.0, _NUDGE)
         )
-        if not speed @ speed > 0.0:  # the slide rested while the coil was seen
-            return expected, cov
-        gain = gain or float(speed @ coil_speed / (speed @ speed))
+        if not speed @ speed > 0.0:
+            return None
+        found[0] = gain = gain or float(speed @ coil_speed / (speed @ speed))
         turned = -0.5 * _speeds(data, data.side, stamps + lag)
         by_lag = (ahead - behind) / (2.0 * _NUDGE)
         jacobian = np.stack([speed, gain * by_lag, gain * turned], axis=1)
         residual = coil_speed - gain * speed
-        var = _CORRELATED * float(residual @ residual) / residual.size
-        inverse = np.linalg.inv(jacobian.T @ jacobian / var + known)
-        pull = jacobian.T @ residual / var - known @ [0.0, 0.0, play - expected.backlash]
-        step = inverse @ pull
-        gain, lag, play = gain + float(step[0]), lag + float(step[1]), play + float(step[2])
-    direction = 1 if gain > 0.0 else -1
-    turn = np.diag([direction, 1.0, 1.0])
-    cov[np.ix_(_FOUND, _FOUND)] = turn @ inverse @ turn
-    clock = np.array([lag, 0.0])
-    found = replace(expected, direction=direction, lead=abs(gain), backlash=play, slide_clock=clock)
-    return found, cov
+        seen, pull = _information(stamps, jacobian, residual)
+        inverse = np.linalg.inv(seen + known)
+        beyond = found - [np.copysign(expected.lead, gain), 0.0, expected.backlash]
+        found = found + inverse @ (pull - known @ beyond)
+    share = float(residual @ residual) / float(coil_speed @ coil_speed)
+    return found, np.asarray(inverse, dtype=np.float64), share
+
+
+def _information(time: Array, jacobian: Array, residual: Array) -> tuple[Array, Array]:
+    """Information (3, 3) of residuals (P,) at times, and its product with their step (3,).
+
+    Of residuals that share the noise of readings and are correlated over `_MEMORY`: products with
+    the slopes are summed over pairs, the less the farther these are apart.
+    """
+    normal, scores = jacobian.T @ jacobian, jacobian * residual[:, None]
+    apart = float(np.median(np.diff(time)))
+    var = max(float(residual @ residual) / residual.size, _FINEST**2)
+    spread = _CORRELATED * var * normal + scores.T @ scores
+    for k in range(1, min(int(_MEMORY / apart), len(time) - 1) + 1):
+        pair = scores[k:].T @ scores[:-k]
+        spread += (1.0 - k * apart / _MEMORY) * (pair + pair.T)
+    seen = normal @ np.linalg.pinv(spread, hermitian=True) @ normal
+    return seen, seen @ np.linalg.pinv(normal, hermitian=True) @ jacobian.T @ residual
 
 
 def _coil_speeds(data: RigData) -> tuple[Array, Array]:
