@@ -232,6 +232,22 @@ def test_a_summary_pools_the_cells_of_each_value(tmp_path):
         assert found["high"] - found["low"] == pytest.approx(2.0 * error, rel=0.2)
 
 
+def test_cells_of_a_seed_are_drawn_again_together(tmp_path):
+    study = load_study(write_study(tmp_path, NOISE + "\nnodes = [2, 3, 4, 5]", seeds=40))
+    rng = np.random.default_rng(1)
+    error = rng.chisquare(3.0, 40)  # of a robot, tracker and noise, whatever the settings
+    rows = rows_of(study, rng)
+    numbers = ("position_rmse", "rotation_rmse", "coverage95_position", "converged")
+    for row in rows:
+        row |= {"error": None, **dict.fromkeys(numbers, 1.0)}
+        row["nees_position"] = error[row["seed"] - study.seeds[0]]
+    for point in summarise(study, rows)["axes"]["noise"]:
+        found = point["nees_position"]
+        assert found["value"] == pytest.approx(error.mean())
+        wide = 2.0 * 1.96 * error.std() / 40**0.5
+        assert found["high"] - found["low"] == pytest.approx(wide, rel=0.2)
+
+
 def test_a_study_without_axes_is_a_monte_carlo_of_its_seeds(tmp_path):
     study = load_study(write_study(tmp_path, "", seeds=9))
     (point,) = summarise(study, rows_of(study, np.random.default_rng(0)))["axes"]["seeds"]

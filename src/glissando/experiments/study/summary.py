@@ -12,8 +12,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from glissando.experiments.statistics import bootstrap, interval, rms
+from glissando.experiments.statistics import bootstrap, interval
 from glissando.experiments.study.plan import Study
+from glissando.geometry.se3 import Array
 
 
 def summarise(study: Study, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -23,7 +24,7 @@ def summarise(study: Study, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         Counts, sentences of errors with their numbers, and under `axes` a list of points for each
         axis of two values or more, or for 'seeds' alone. A point pools the cells that have its
         `value`, whatever the others: RMSE (m, rad), NEES and coverage, each with the 95 % interval
-        of drawing the cells again.
+        of drawing the seeds again: all cells of a seed have the same robot, tracker and noise.
     """
     errors = Counter(row["error"] for row in rows if row["error"] is not None)
     points = {
@@ -44,11 +45,17 @@ def _point(value: Any, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     sound = [row for row in rows if row["error"] is None]
     out = {"value": value, "cells": len(rows), "failed": len(rows) - len(sound)}
     if sound:
-        draws = bootstrap(len(sound), 2000)
+        seeds, of = np.unique([row["seed"] for row in sound], return_inverse=True)
+        draws, cells = bootstrap(seeds.size, 2000), np.bincount(of)
+
+        def mean(values: Array) -> Array:
+            sums = np.bincount(of, values)
+            return sums[draws].sum(axis=1) / cells[draws].sum(axis=1)
+
         for name in ("position_rmse", "rotation_rmse"):
-            out[name] = interval(rms(np.array([row[name] for row in sound])[draws]))
+            out[name] = interval(np.sqrt(mean(np.square([row[name] for row in sound]))))
         for name in ("nees_position", "coverage95_position", "converged"):
-            out[name] = interval(np.mean(np.array([row[name] for row in sound])[draws], axis=1))
+            out[name] = interval(mean(np.array([float(row[name]) for row in sound])))
     return out
 
 
@@ -56,7 +63,7 @@ def print_summary(summary: dict[str, Any], console: Console) -> None:
     """A table of the points of every axis, and each sentence of what failed with its number."""
     title = f"{escape(summary['name'])}: {summary['cells']:,} cells, {summary['failed']:,} failed"
     look: dict[str, Any] = {"box": SIMPLE_HEAD, "pad_edge": False, "collapse_padding": True}
-    table = Table(title=title, caption="in brackets 95 % intervals, cells drawn again", **look)
+    table = Table(title=title, caption="in brackets 95 % intervals, seeds drawn again", **look)
     for heading in ("axis", "value"):
         table.add_column(heading, no_wrap=True)
     for heading in ("cells", "failed", "RMSE (mm)", "RMSE (°)", "NEES", "in 95 % (%)"):
