@@ -114,7 +114,7 @@ class Bench:
         """Whether the servo has torque."""
         servo = Servo(self.devices["servo"].address, 1, 57600)
         try:
-            return bool(servo.read(dynamixel.TORQUE, 1, heed=False).data[0])
+            return bool(servo.read(dynamixel.TORQUE, 1, check_error=False).data[0])
         finally:
             servo.close()
 

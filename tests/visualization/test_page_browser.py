@@ -81,6 +81,13 @@ def test_the_page_decodes_what_python_packed(page, file):
     np.testing.assert_allclose(std, np.linalg.norm(root, axis=-1).ravel(), rtol=1e-12)
 
 
+def test_points_of_a_body_may_lie_as_they_like(page):
+    points, at = [0.0, 0.1, 0.4, 0.7], np.linspace(-0.1, 0.8, 19)
+    found = page.evaluate(f"{at.tolist()}.map((s) => cellOf({points}, s))")
+    place = [points[n] + share * (points[n + 1] - points[n]) for n, share in found]
+    np.testing.assert_allclose(place, np.clip(at, 0.0, 0.7), atol=1e-12)
+
+
 @pytest.mark.parametrize("moment", [0, 13])
 def test_ellipsoids_have_the_axes_of_the_covariance(page, posterior, moment):
     scene = scene_of(posterior[0])

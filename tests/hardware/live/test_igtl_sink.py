@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from glissando.estimation.confidence_tube import SIGMAS_95, confidence_tube, tube_faces
 from glissando.geometry import se3
@@ -58,9 +59,11 @@ def test_frames_line_tube_and_ellipsoids_are_the_estimates():
     tube, ellipsoids = read["Tube95", "POLYDATA"], read["Ellipsoids95", "POLYDATA"]
     assert len(tube.points) == (7 + 10) * 12
     shells = 1e-3 * ellipsoids.points.reshape(7, -1, 3) - update.state.position[:, None]
-    inverse = np.linalg.inv(update.state.cov_position_world)
-    size = np.sqrt(np.einsum("npi,nij,npj->np", shells, inverse, shells))
-    np.testing.assert_allclose(size, SIGMAS_95, rtol=2e-2)
+    draws = np.random.default_rng(0).standard_normal((40_000, 3))
+    for shell, cov in zip(shells, update.state.cov_position_world, strict=True):
+        hull = ConvexHull(np.linalg.solve(np.linalg.cholesky(cov), shell.T).T)
+        inside = np.all(draws @ hull.equations[:, :3].T + hull.equations[:, 3] < 0.0, axis=1)
+        assert inside.mean() == pytest.approx(0.95, abs=0.006)
     assert read["Estimate", "STATUS"].code == 1
     assert json.loads(read["Estimate", "STRING"].text)["skipped"] >= 0
 

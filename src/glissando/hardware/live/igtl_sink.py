@@ -25,7 +25,7 @@ from typing import Self
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from glissando.estimation.confidence_tube import SIGMAS_95, confidence_tube, tube_faces
+from glissando.estimation.confidence_tube import confidence_tube, tube_faces
 from glissando.geometry.se3 import Array
 from glissando.hardware.live.update import Update
 from glissando.hardware.openigtlink import Endpoint, Message, encode
@@ -125,7 +125,7 @@ class IgtlSink:
             rings, of = confidence_tube(update.state.pose, cov, around=_AROUND)
             yield "Tube95", self._mesh(rings, tube_faces(*rings.shape[:2]), sigma[of])
         if "ellipsoids" in send:
-            shells = SIGMAS_95 * _SPHERE @ np.linalg.cholesky(_definite(cov)).swapaxes(-1, -2)
+            shells = _SIGMAS * _SPHERE @ np.linalg.cholesky(_definite(cov)).swapaxes(-1, -2)
             shells = shells @ update.state.pose[:, :3, :3].swapaxes(-1, -2)
             shells += update.state.position[:, None]
             first = len(_SPHERE) * np.arange(len(shells))
@@ -261,3 +261,4 @@ def _unit_sphere() -> tuple[Array, Index]:
 
 
 _SPHERE, _SPHERE_FACES = _unit_sphere()
+_SIGMAS = 3.164962  # to the points of the hull that holds 95 % of a Gaussian; its faces lie nearer

@@ -85,16 +85,22 @@ function disc(pen, x, y, radius, colour) {
   pen.stroke();
 }
 
+const HEAT_ROWS = 128;
+
 // The deviation at every moment (left to right) and arclength (base below) as one picture.
 function heatOf(scene) {
-  const [moments, along] = scene.std.shape;
+  const moments = scene.std.shape[0], points = scene.arclength.length, along = HEAT_ROWS;
+  const first = scene.arclength[0], long = scene.arclength.at(-1) - first;
+  const cells = Array.from({ length: along }, (_, n) =>
+    cellOf(scene.arclength, first + (long * n) / (along - 1)));
   const picture = document.createElement("canvas");
   [picture.width, picture.height] = [moments, along];
   const pen = picture.getContext("2d");
   const pixels = pen.createImageData(moments, along);
   for (let f = 0; f < moments; f++) {
     for (let n = 0; n < along; n++) {
-      const colour = colourOf(scene.std.values[f * along + n] / scene.top);
+      const [cell, share] = cells[n], at0 = f * points + cell, std = scene.std.values;
+      const colour = colourOf((std[at0] + share * (std[at0 + 1] - std[at0])) / scene.top);
       const at = 4 * ((along - 1 - n) * moments + f);
       pixels.data.set([...colour.map((c) => 255 * c), 255], at);
     }

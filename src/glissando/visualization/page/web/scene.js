@@ -94,12 +94,18 @@ function bodyAt(scene, moment) {
   });
 }
 
+// The point before an arclength and how far it is to the next, 0 to 1; points lie as they like.
+function cellOf(points, arclength) {
+  const after = points.findIndex((s) => s > arclength);
+  const low = Math.max((after < 0 ? points.length : after) - 1, 0);
+  const cell = Math.min(low, points.length - 2);
+  const share = (arclength - points[cell]) / (points[cell + 1] - points[cell]);
+  return [cell, Math.min(Math.max(share, 0), 1)];
+}
+
 // Where the body is at an arclength: {centre, axes, std}, on the chord of two neighbours.
 function bodyPoint(scene, body, arclength) {
-  const last = scene.arclength.length - 1;
-  const spacing = (scene.arclength[last] - scene.arclength[0]) / last;
-  const place = Math.min(Math.max((arclength - scene.arclength[0]) / spacing, 0), last);
-  const low = Math.min(Math.floor(place), last - 1), share = place - low;
+  const [low, share] = cellOf(scene.arclength, arclength);
   const [a, b] = [body[low], body[low + 1]];
   const centre = a.centre.map((c, i) => c + share * (b.centre[i] - c));
   const near = share < 0.5 ? a : b;
