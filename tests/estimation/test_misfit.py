@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando import Grid, Huber, PoseReadings, estimate, load_robot, uniform_grid
+from glissando import Grid, Huber, PoseReadings, estimate, load_robot, se3, uniform_grid
 from glissando.calibration.robot.hyperparameters import expanded
 from glissando.errors import FalseConfidenceWarning, GlissandoError, OutsideGridError
 from glissando.estimation.outliers import CHANCE
@@ -95,3 +95,20 @@ def test_time_nodes_that_are_too_close_are_named():
             continue
         with pytest.raises(OutsideGridError, match=r"nodes 8 and 9 at 0\.4 s are 0\.0001 s apart"):
             estimate(robot.prior, grid, [tip])
+
+
+@pytest.mark.parametrize("count", [1, 3, 8])
+def test_few_readings_that_an_estimate_misses_by_far_are_named(count):
+    robot = slow()
+    place = np.linspace(LENGTH / count, LENGTH, count)
+    bent = se3.exp(place[:, None] * np.array([0.0, 0.0, 1.0, 0.0, 60.0, 0.0]))
+    for poses, doubted in ((bent, True), (se3.exp(place[:, None] * [0, 0, 1.0, 0, 0, 0]), False)):
+        grid = Grid(np.linspace(0.0, LENGTH, 3), [0.0])
+        at = {"time": np.zeros(count), "arclength": place}
+        given = PoseReadings(**at, values=poses, cov=NOISE**2, name="tip")
+        stiff = replace(robot.prior, psd_strain_arclength=np.full(6, 1e-8))
+        stiff = replace(stiff, base=replace(stiff.base, strain=np.full(6, 1e-8)))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            posterior = estimate(stiff, grid, [given])
+        assert bool(posterior.solve.doubt) == doubted

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from glissando.errors import SensorError
+from glissando.errors import FalseConfidenceWarning, SensorError
 from glissando.estimation.batch import estimate
 from glissando.estimation.static import estimate_static
 from glissando.geometry import se3
@@ -188,7 +188,8 @@ def test_tendons_read_between_time_nodes_err_together(count, pitch):
 def test_displacements_that_contradict_others_are_no_traceback():
     values = np.zeros((5, 3))
     values[2, 0] = 1e-3
-    found = estimate(tendon_robot().prior, GRID, [readings(np.full(5, 0.5), values)])
+    with pytest.warns(FalseConfidenceWarning, match="20 % of pull"):
+        found = estimate(tendon_robot().prior, GRID, [readings(np.full(5, 0.5), values)])
     assert found.solve.refused == {}
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtri
+from scipy.special import bdtrc, chdtri
 
 from glissando.errors import OutsideGridError, UnobservableError, UnreachableError
 from glissando.estimation.outliers import Mask
@@ -22,9 +22,10 @@ _FAR = 3.0  # lengths of the robot: readings beyond are said to be why equations
 _CLOSE = 0.02  # of the median step: time nodes as close as this may be why equations break down
 _MISFIT = 5.0  # standard deviations by which a reading differs from all estimates but a false one
 _NAMED = 3  # readings or streams that are named
-_CHANCE = 1e-3  # that a residual is beyond what counts as far
-_FEWEST = 20  # readings of a stream, for a share of them to say something
+_CHANCE, _RARE = 1e-3, 1e-6  # that a residual is beyond what counts as far, and as very far
 _SHARE = 0.1  # of a stream that may be far off
+_FEW, _TOUCHED = 20, 30.0  # readings, which a touch may move by so many standard deviations
+_SURE = 1e-4  # chance of as many that are far off, below which it is none
 _UNLIKELY, _EXCESS = 1e-4, 6.0  # chance of a cost, and how many times what is expected, to doubt
 _ALIKE = 0.5  # cosine of residuals, side by side, above which they are no outliers of their own
 
@@ -80,11 +81,12 @@ def doubt(prior: Prior, solution: Solution) -> str:
     not, prior or noise exclude what the robot did, and covariances are too small. An impact is none
     of that, nor are outliers that a robust loss forgives: those differ from their neighbours.
     """
-    far = []
-    for stream, terms in _terms(solution):
-        share = float(np.mean(_far_off(terms)))
-        if len(stream) >= _FEWEST and share > _SHARE:
-            far.append((share, f"{100.0 * share:.0f} % of {stream.label}"))
+    touch = isinstance(prior, MechanicalPrior)
+    far = [
+        (share, f"{100.0 * share:.0f} % of {stream.label}")
+        for stream, terms in _terms(solution)
+        if (share := _contradicting(terms, touch)) > _SHARE
+    ]
     if not far and is_implausible(prior, solution):
         return (
             "The estimate contradicts prior and readings together more than chance allows, so its "
@@ -101,11 +103,25 @@ def doubt(prior: Prior, solution: Solution) -> str:
     )
 
 
-def _far_off(terms: Residuals) -> Mask:
-    """Which residuals (M,) are beyond chance; with a robust loss, and like one beside it."""
+def _contradicting(terms: Residuals, touch: bool) -> float:
+    """The share of residuals (M,) that are farther off than so many can be by chance.
+
+    Of few readings one that is very far off is enough; where a touch may be looked for in them, one
+    that no touch moves so far.
+    """
+    least = _TOUCHED if touch and len(terms.residual) < _FEW else 0.0
+    for chance in (_CHANCE, _RARE):
+        off = _far_off(terms, chance, least)
+        if bdtrc(int(off.sum()) - 1, off.size, chance) < _SURE:
+            return float(off.mean())
+    return 0.0
+
+
+def _far_off(terms: Residuals, chance: float, least: float = 0.0) -> Mask:
+    """Which residuals (M,) are beyond a chance and a size; with a loss, and like one beside it."""
     white = terms.whiten(terms.residual)
     size = np.linalg.norm(white, axis=1)
-    far: Mask = size**2 > chdtri(white.shape[1], _CHANCE)
+    far: Mask = size**2 > max(chdtri(white.shape[1], chance), least**2)
     if terms.loss is None:
         return far
     along = np.einsum("mi,mi->m", white[1:], white[:-1])
