@@ -14,6 +14,7 @@ from foreign_files import hole, motive_csv, ndi_csv, qualisys_tsv, semicolons, t
 from glissando.errors import RecordingError
 from glissando.io.foreign import Choices, columns, read_tracks, write_recording
 from glissando.io.foreign.columns import parse_mapping, read_path
+from glissando.io.foreign.delimited import cells_of
 
 
 @law
@@ -96,6 +97,13 @@ def test_semicolons_and_decimal_commas_are_read_as_points_and_commas(tmp_path):
         after = read_tracks(semicolons(file), rate=50.0)
         np.testing.assert_array_equal(before[0].values, after[0].values)
         np.testing.assert_array_equal(before[0].time, after[0].time)
+
+
+@pytest.mark.parametrize("cells", ["1,000;0.25", "1.000;0,25", "63;3,177;1.0"])
+def test_commas_beside_points_are_refused_as_one_of_both_parts_thousands(tmp_path, cells):
+    (tmp_path / "t.csv").write_text("a;b;c\n" + f"{cells}\n" * 9, encoding="utf-8")
+    with pytest.raises(RecordingError, match="one of both parts thousands"):
+        cells_of(tmp_path / "t.csv")
 
 
 TURNS = {

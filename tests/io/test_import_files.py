@@ -2,6 +2,7 @@
 
 import re
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from draws import generators, law, poses
 from foreign_bags import bag, c3d
 from foreign_files import hole, ndi_csv, tracker_csv
 from glissando.errors import GlissandoError, RecordingError
-from glissando.io.foreign import read_tracks
+from glissando.io.foreign import read_tracks, rosbag
 
 
 @law
@@ -230,3 +231,24 @@ def test_a_missing_package_names_the_extra(tmp_path, monkeypatch):
     (tmp_path / "a.bag").write_bytes(b"")
     with pytest.raises(GlissandoError, match=r"pip install 'glissando\[ros\]'"):
         read_tracks(tmp_path / "a.bag")
+
+
+@pytest.mark.parametrize("several", ["frame_id", "child_frame_id"])
+def test_a_topic_of_several_frames_is_refused(several):
+    def message(k):
+        name = {"frame_id": "world", "child_frame_id": "tip"} | {several: f"f{k % 2}"}
+        stamp = SimpleNamespace(sec=1, nanosec=k)
+        turn = SimpleNamespace(w=1.0, x=0.0, y=0.0, z=0.0)
+        transform = SimpleNamespace(translation=turn, rotation=turn)
+        header = SimpleNamespace(stamp=stamp, frame_id=name["frame_id"])
+        return SimpleNamespace(header=header, transform=transform, **name)
+
+    kind = "geometry_msgs/msg/TransformStamped"
+    topic = SimpleNamespace(topic="/tf_tip", msgtype=kind)
+    bag = SimpleNamespace(
+        connections=[topic],
+        messages=lambda _: [(topic, k, k) for k in range(1, 5)],
+        deserialize=lambda raw, _: message(raw),
+    )
+    with pytest.raises(RecordingError, match="poses of several frames, f0, f1"):
+        rosbag._track(bag, "/tf_tip")

@@ -235,3 +235,10 @@ def test_a_sensor_without_a_residual_says_what_to_define():
     at = states(np.random.default_rng(43), M)
     with pytest.raises(NotImplementedError, match=r"Mute must define residual\(at\)"):
         numerical_jacobian(at_zero(Mute, np.zeros(M)), at)
+
+
+def test_a_field_that_readings_have_not_is_refused():
+    at = {"time": np.zeros(1), "arclength": np.zeros(1)}
+    coil = CoilReadings(**at, values=np.eye(4)[None], cov=np.ones(5), name="coil")
+    with pytest.raises(SensorError, match="coil has no 'tme'"):
+        coil.changed(tme=np.ones(1))

@@ -127,7 +127,8 @@ def thrown(places, speed):
             lambda: SlidePath([0, 0.1, 0.2], [0, 0.001, 0.002], [0, 0.02, 0], STAGE),
             "acceleration would be 0.2 m/s²",
         ),
-        (lambda: SlideLimits(0.06, -1.0, 0.1), "a speed of -1 m/s cannot be"),
+        (lambda: SlideLimits(0.06, -1.0, 0.1), "a speed of -1 m/s cannot be; give one above zero"),
+        (lambda: SlideLimits(60.0, 0.024, 0.1), "60 mm are 0.06 m"),
         (lambda: SlidePath([0, 10], [0, 0.05], [0.005, 0.005], STAGE), "begin and end at rest"),
         # both knots lie inside the stroke, the way between them does not
         (lambda: thrown([0.05, 0.06, 0.06, 0.05], 0.02), "stroke would be 0"),

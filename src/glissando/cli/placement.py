@@ -54,6 +54,12 @@ def place(options: argparse.Namespace) -> int:
             f"many time nodes of this robot as fit a thousand numbers",
             file=sys.stderr,
         )
+    if unknown := [p.name for p in robot.sensor_parameters if not p.known]:
+        print(
+            f"glissando: of a sensor nothing counts as unknown but its noise: {', '.join(unknown)} "
+            f"of the robot left out, so positions are known less well than is said",
+            file=sys.stderr,
+        )
     report = {
         "zones": options.zone,
         "horizon": problem.horizon,

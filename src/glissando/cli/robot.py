@@ -77,7 +77,7 @@ def _robot(options: argparse.Namespace) -> int:
     for key in missing:
         answers[key] = _answer(key)
     turns = answers["bend"] / math.pi
-    if answers["bend"] < _RADIANS and abs(turns - round(2.0 * turns) / 2.0) < _NEAR:
+    if 1.0 < answers["bend"] < _RADIANS and abs(turns - round(2.0 * turns) / 2.0) < _NEAR:
         raise GlissandoError(
             f"--bend {answers['bend']:g} is most likely in radians; give degrees: "
             f"{math.degrees(answers['bend']):.0f}."

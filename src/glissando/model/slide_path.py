@@ -19,6 +19,7 @@ _SLACK = 1e-6  # of a limit, for rounding
 _MOST = 1e9  # s, m or m/s, beyond which nothing is meant
 _CYCLES = 100_000
 _REST = 0.6  # s at each turn of a path to calibrate by
+_MOST_OF_A_STAGE = {"stroke": (10.0, "m"), "speed": (10.0, "m/s"), "acceleration": (1e3, "m/s²")}
 _NO_WAY = 1e-9  # m, a move too short to be one
 
 
@@ -31,11 +32,13 @@ class SlideLimits:
     acceleration: float
 
     def __post_init__(self) -> None:
-        for name, unit in (("stroke", "m"), ("speed", "m/s"), ("acceleration", "m/s²")):
+        for name, (most, unit) in _MOST_OF_A_STAGE.items():
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
+            if not 0.0 < value <= most:
+                metres = f"metres ({value:g} m{unit} are {value / 1e3:g} {unit})"
+                right = metres if value > most else "one above zero"
                 raise SimulationError(
-                    f"A stage with a {name} of {value:g} {unit} cannot be; give one above zero."
+                    f"A stage with a {name} of {value:g} {unit} cannot be; give {right}."
                 )
 
 

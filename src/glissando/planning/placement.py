@@ -111,6 +111,8 @@ def placement_problem(
 ) -> PlacementProblem:
     """What each candidate adds to what is known of zones, for a robot that rests.
 
+    A candidate's noise is all that is unknown of it: the robot's sensor parameters are left out.
+
     Args:
         robot: The robot: its prior is what is known without sensors.
         candidates: The sensors that could be bought.

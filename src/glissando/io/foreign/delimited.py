@@ -21,7 +21,9 @@ from glissando.io.foreign.tracks import (
 
 _DELIMITERS = "\t;,"
 _COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*")
+_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
 _BLANKS = re.compile(r'"[^"]*"|\S+')
+_RARE = 0.02  # of the numbers: as few may have come from elsewhere, as those of a heading
 _LOOKED_AT = 200  # lines by which the delimiter is chosen
 REMARKS = ("#", "%")
 """Begin a line that is a remark, or that of the titles."""
@@ -36,19 +38,31 @@ def cells_of(path: Path) -> list[Line]:
     two are alike; without any, or where commas part no more than a number, blanks part the cells.
 
     Raises:
-        RecordingError: The file cannot be read.
+        RecordingError: The file cannot be read, or commas and points both stand in its numbers.
     """
     lines = text_lines(path)
     delimiter = _delimiter(lines)
     out: list[Line] = []
+    kinds: list[bool] = []  # of numbers, whether they have a comma
     for number, line in enumerate(lines, start=1):
         cells = line.split(delimiter) if delimiter else _BLANKS.findall(line) or [""]
         cells = [cell.strip() for cell in cells]
         if delimiter != ",":
+            kinds += [_COMMA.fullmatch(c) is not None for c in cells if _is_broken(c)]
             cells = [c.replace(",", ".") if _COMMA.fullmatch(c) else c for c in cells]
         if out or any(cells):  # empty lines before the first do not count
             out.append((number, [cell.strip('"') for cell in cells]))
+    if kinds and _RARE < sum(kinds) / len(kinds) < 1.0 - _RARE:
+        raise RecordingError(
+            f"{path.name} has numbers with a comma and others with a point, so one of both parts "
+            f"thousands; write numbers without it."
+        )
     return out
+
+
+def _is_broken(cell: str) -> bool:
+    """Whether a cell is a number with a comma or a point."""
+    return bool(_COMMA.fullmatch(cell) or _POINT.fullmatch(cell))
 
 
 def _delimiter(lines: list[str]) -> str:

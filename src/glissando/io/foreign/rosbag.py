@@ -105,20 +105,28 @@ def _track(bag: Any, topic: str) -> Track:
     """Poses of a topic in order of their stamps; the first of those that share one."""
     connections = [c for c in bag.connections if c.topic == topic]
     rows: dict[int, list[float]] = {}
-    frame, missing, repeated = "", 0, 0
+    children: set[str] = set()
+    frames, missing, repeated = set[str](), 0, 0
     for connection, logged, raw in bag.messages(connections):
         message = bag.deserialize(raw, connection.msgtype)
         p, q = _KINDS[connection.msgtype](message)
         stamp = message.header.stamp
         at = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec) or logged
-        frame = frame or message.header.frame_id
+        frames.add(message.header.frame_id)
+        children.add(getattr(message, "child_frame_id", ""))
         numbers = [q.w, q.x, q.y, q.z, p.x, p.y, p.z]
         if np.all(np.isfinite(numbers)) and np.linalg.norm(numbers[:4]) > 0.5:
             repeated += at in rows
             rows.setdefault(at, numbers)
         else:
             missing += 1
-    stamps = sorted(rows)
+    for names in (frames, children):
+        if len(names) > 1:
+            raise RecordingError(
+                f"Topic {topic} has poses of several frames, {', '.join(sorted(names))}; record "
+                f"each on a topic of its own."
+            )
+    stamps, frame = sorted(rows), next(iter(frames), "")
     table = np.array([rows[t] for t in stamps]).reshape(-1, 7)
     pose = se3.pose(se3.rotation_from_quaternion(table[:, :4]), table[:, 4:])
     name = plain_name(topic.replace("/", "_").strip("_"))

@@ -9,6 +9,8 @@ from pathlib import Path
 from glissando.errors import RecordingError
 from glissando.io.foreign.delimited import REMARKS, Line
 
+_MOST = 10_000  # columns of a file without titles
+
 
 def titled(path: Path, lines: list[Line], wanted: Sequence[str]) -> tuple[list[str], list[Line]]:
     """The titles of the columns, none where all are asked for by number, and the rows.
@@ -86,7 +88,7 @@ def find(path: Path, titles: list[str], column: str) -> int:
         )
     if column in titles:
         return titles.index(column)
-    if column.isdecimal() and int(column) > 0:
+    if column.isdecimal() and 0 < int(column) <= (len(titles) or _MOST):
         return int(column) - 1
     has = f"it has {', '.join(titles)}" if titles else "columns are numbered from 1"
     raise RecordingError(f"{path.name} has no column {column!r}; {has}.")

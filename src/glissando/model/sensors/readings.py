@@ -268,7 +268,13 @@ class Readings(ShortRepr):
         return self.changed(**fields)
 
     def changed(self, **fields: Any) -> Self:
-        """The readings with other fields, which are not checked again."""
+        """The readings with other fields, which are not checked again: for checks, `replace`.
+
+        Raises:
+            SensorError: There is no such field.
+        """
+        if unknown := fields.keys() - self.__dict__.keys():
+            raise SensorError(f"{self.label} has no {min(unknown)!r}; give one of its fields.")
         out = object.__new__(type(self))
         out.__dict__.update(self.__dict__, **fields)
         return out
