@@ -1,5 +1,6 @@
 """What an OpenIGTLink peer sends becomes readings, or is counted."""
 
+import socket
 import time
 from dataclasses import replace
 
@@ -287,3 +288,14 @@ def test_stamps_of_a_senders_clock_become_times_better_than_their_arrivals():
             time = source._time(stamp_of(measured + ahead), measured + delay, clock)
             misses.append(time - clock.of_monotonic(measured))
     assert np.abs(misses[100:]).max() < 3e-3
+
+
+@pytest.mark.slow
+def test_a_peer_that_speaks_another_language_is_named_as_one():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        name = f"igtl://127.0.0.1:{server.getsockname()[1]}"
+        with IgtlSource(name, ROBOT, PLACES) as source:
+            other, _ = server.accept()
+            with other:
+                other.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n" + bytes(200))
+                until(lambda: source.poll() is None and "is not OpenIGTLink" in source.problem)

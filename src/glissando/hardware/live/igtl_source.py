@@ -93,6 +93,8 @@ class IgtlSource:
     def problem(self) -> str:
         """Why nothing comes; empty while messages do."""
         if not self._endpoint.peers:
+            if self.counts["refused"]:
+                return f"what was sent at {self.name} is not OpenIGTLink, so its peer was let go"
             calls = "nobody has called" if self._endpoint.address.listens else "nobody answers"
             return f"{calls} at {self.name}"
         if self.status or not np.isfinite(self._heard):
