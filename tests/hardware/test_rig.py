@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from glissando.calibration.rig.session_data import rig_data
+from glissando.cli import record
 from glissando.cli.main import main
 from glissando.errors import DeviceError, RecordingError
 from glissando.evaluation.run import run_estimate
@@ -244,6 +245,25 @@ def test_killed_in_mid_session_it_keeps_all_but_the_last_second(tmp_path):
     for topic in ("/slide", "/tracker/coil", "/mocap/mocap_700"):
         assert killed - session.topics[topic].time_ns[-1] < 1.5e9
         assert np.all(np.diff(session.topics[topic].time_ns) >= 0)
+
+
+@pytest.mark.slow
+def test_a_device_that_fails_ends_the_recording_and_says_what_is_kept(
+    tmp_path, capsys, monkeypatch
+):
+    folder, whole = tmp_path / "session", record._capture_shown
+
+    def fails(*call):
+        whole(*call)
+        raise DeviceError("The servo is gone.")
+
+    monkeypatch.setattr(record, "_capture_shown", fails)
+    call = ["record", "--simulate", "--slide", "hold", "--duration", "1", "--out", str(folder)]
+    assert main(call) == 2
+    told = capsys.readouterr().err
+    assert "what was recorded is kept in" in told
+    assert "The servo is gone." in told
+    assert len(load_recording(folder).stream("coil").rows.time) > 10
 
 
 @pytest.mark.slow

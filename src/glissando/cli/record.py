@@ -255,15 +255,18 @@ def _keep(rig: Rig, options: argparse.Namespace, *, quietly: bool = False) -> No
         shutil.rmtree(folder)  # nothing began
         return
     session = read_session(folder / LOG)
+    whole = f"glissando: what was recorded is kept in {folder / LOG}"
     try:
         warnings = write_recording(session, rig, folder)
     except GlissandoError:
+        print(f"{whole}; glissando estimate {quote(str(folder))} reads it.", file=sys.stderr)
         if not quietly:
             raise
         return
     if options.setup:
         write_text(folder / "setup.toml", options.setup.read_text(encoding="utf-8"))
     if quietly:
+        print(f"{whole} and beside it.", file=sys.stderr)
         return
     counts = ", ".join(f"{len(t.messages)} {name}" for name, t in session.topics.items())
     print(f"Wrote {folder}: {counts}. Now: glissando estimate {quote(str(folder))} --out results")
