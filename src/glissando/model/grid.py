@@ -241,10 +241,10 @@ class Grid(ShortRepr):
         cure = "Ask for what lies inside." if what == "Query" else cure
         rows = f"row {first[0]} has" if first.size == 1 else f"rows {_listed(first)} have"
         excess = np.maximum(values[outside] - nodes[-1], nodes[0] - values[outside]).max()
+        far = f"up to {excess:.3g} {unit} outside" if np.isfinite(excess) else "not inside"
         raise OutsideGridError(
             f"{what}: {outside.size} of {s.size} rows lie outside the grid; {rows} {name} {shown} "
-            f"{unit}, up to {excess:.3g} {unit} outside [{form(nodes[0])}, {form(nodes[-1])}] "
-            f"{unit}. {cure}"
+            f"{unit}, {far} [{form(nodes[0])}, {form(nodes[-1])}] {unit}. {cure}"
         )
 
     def locate(self, arclength: Array, time: Array) -> tuple[Cells, Cells]:
