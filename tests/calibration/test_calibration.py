@@ -60,6 +60,7 @@ def test_a_coil_noisier_than_stated_is_noticed_and_errors_stay_as_large_as_state
     assert 0.5 < made.fits[0].whitened < 1.5
 
 
+@pytest.mark.slow
 def test_readings_that_nothing_explains_are_said_to_be_off():
     made, _, data = rigs.calibrated()
     wave = np.sin(2.0 * data.coil_time)[:, None] * np.array([0.0, 0.0, 0.0, 0.06, 0.0, 0.0])

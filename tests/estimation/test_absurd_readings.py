@@ -75,6 +75,7 @@ def test_no_reading_ends_a_loop_and_each_is_counted(seed):
         assert np.linalg.eigvalsh(newest.cov).min() > -1e-9 * np.abs(newest.cov).max()
 
 
+@pytest.mark.slow
 def test_a_tracker_in_another_frame_has_other_shapes_tried_rarely(monkeypatch):
     """They cost hundreds of updates, and such readings come at every update."""
     tried = []

@@ -60,6 +60,7 @@ def drifting_bias(seed, pause, memory=0.3, std=0.02):
     return smoother.restarts, out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pause", [0.2, 0.3])
 def test_a_drifting_parameter_is_as_sure_as_it_is_where_a_window_begins_anew(pause):
     restarts, squared = zip(*(drifting_bias(seed, pause) for seed in range(24)), strict=True)
