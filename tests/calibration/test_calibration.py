@@ -8,7 +8,8 @@ from scipy.stats import chi2
 
 import rigs_drawn as rigs
 from glissando.calibration.rig.calibrate import calibrate
-from glissando.calibration.rig.rig import PARAMETERS, RigData, side_of_backlash
+from glissando.calibration.rig.rig import PARAMETERS, Rig, RigData, side_of_backlash
+from glissando.calibration.rig.slide_timing import against_slide
 from glissando.errors import RecordingError
 from glissando.geometry import se3
 
@@ -262,6 +263,36 @@ def test_without_motion_capture_a_moving_robot_makes_nothing_known_too_well(shap
         worst = max(worst, float(np.abs(off / made.std[names]).max()))
         assert made.rig.direction == known.direction
     assert worst < 3.0
+
+
+@pytest.mark.parametrize("kept", ["rests", "two readings"])
+def test_a_coil_that_shows_nothing_of_the_slide_leaves_the_rig_as_expected(kept):
+    data, _ = rigs.drawn(0, "straight")
+    if kept == "rests":
+        data = replace(data, coil=np.broadcast_to(data.coil[0], data.coil.shape))
+    else:
+        near = np.searchsorted(data.coil_time, data.coil_time[0] + 0.12)
+        data = data.at(np.array([0, near]))
+    found, cov = against_slide(data, Rig(np.eye(4), 1, 0.7, 0.0), np.ones(len(PARAMETERS)))
+    assert found.lead == 1.0
+    np.testing.assert_array_equal(cov, np.eye(len(PARAMETERS)))
+
+
+@pytest.mark.parametrize(("noise", "speed"), [(1e-4, 0.004), (3e-4, 0.012)])
+def test_noise_of_a_coil_is_no_motion_of_the_robot(noise, speed):
+    rng = np.random.default_rng(0)
+    time = np.arange(0.0, 60.0, 0.025)
+    travel = 0.03 + speed / 0.2 * np.sin(0.2 * (time + 0.15))  # 0.15 s early
+    coil = np.tile(np.eye(4), (time.size, 1, 1))
+    coil[:, 2, 3] = 0.97 * (0.03 + speed / 0.2 * np.sin(0.2 * time))
+    coil[:, :3, 3] += noise * rng.standard_normal((time.size, 3))
+    data, _ = rigs.drawn(0, "straight")
+    data = replace(data, coil_time=time, coil=coil, slide_time=time, travel=travel, bodies={})
+    std = np.ones(len(PARAMETERS))
+    found, cov = against_slide(data, Rig(np.eye(4), 1, 0.7, 30.0), std)
+    lead, late = (PARAMETERS.index(name) for name in ("lead", "slide delay"))
+    assert found.lead == pytest.approx(0.97, abs=3.0 * cov[lead, lead] ** 0.5)
+    assert abs(found.slide_clock[0] + 0.15) < 3.0 * cov[late, late] ** 0.5 < 0.3
 
 
 def test_a_calibration_without_a_solution_ends_in_a_sentence(monkeypatch):

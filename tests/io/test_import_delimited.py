@@ -14,7 +14,6 @@ from foreign_files import hole, motive_csv, ndi_csv, qualisys_tsv, semicolons, t
 from glissando.errors import RecordingError
 from glissando.io.foreign import Choices, columns, read_tracks, write_recording
 from glissando.io.foreign.columns import parse_mapping, read_path
-from glissando.io.foreign.delimited import cells_of
 
 
 @law
@@ -99,11 +98,20 @@ def test_semicolons_and_decimal_commas_are_read_as_points_and_commas(tmp_path):
         np.testing.assert_array_equal(before[0].time, after[0].time)
 
 
-@pytest.mark.parametrize("cells", ["1,000;0.25", "1.000;0,25", "63;3,177;1.0"])
-def test_commas_beside_points_are_refused_as_one_of_both_parts_thousands(tmp_path, cells):
-    (tmp_path / "t.csv").write_text("a;b;c\n" + f"{cells}\n" * 9, encoding="utf-8")
-    with pytest.raises(RecordingError, match="one of both parts thousands"):
-        cells_of(tmp_path / "t.csv")
+@pytest.mark.parametrize("row", ["1,00{};0.25;0;0", "1.00{};0,25;0;0", "{};3,177;1.0;0"])
+def test_commas_beside_points_are_refused_as_one_of_both_parts_thousands(tmp_path, row):
+    lines = "\n".join(row.format(k) for k in range(9))
+    (tmp_path / "t.csv").write_text(f"t;x;y;z\n{lines}\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"line 2 .* one of both parts thousands"):
+        read_tracks(tmp_path / "t.csv", columns="time=t,x=x,y=y,z=z,length=mm")
+
+
+def test_numbers_that_nobody_reads_may_have_another_mark(tmp_path):
+    lines = "\n".join(f"{k},5;0,25;0;0;2.1;05.11" for k in range(9))
+    head = "Tracker;Firmware;1.7\nt;x;y;z;version;date\n"
+    (tmp_path / "t.csv").write_text(f"{head}{lines}\n", encoding="utf-8")
+    (track,) = read_tracks(tmp_path / "t.csv", columns="time=t,x=x,y=y,z=z,length=mm")
+    np.testing.assert_allclose(track.values[:, 0], 0.25e-3)
 
 
 TURNS = {

@@ -8,11 +8,15 @@ from hypothesis import given
 
 from draws import generators, law
 from glissando import SensorParameter
-from glissando.errors import FalseConfidenceWarning
+from glissando.errors import FalseConfidenceWarning, PlanWarning
+from glissando.geometry import se3
+from glissando.model.sensors.parameters import corrected
+from glissando.model.state import State
 from glissando.planning.scene.motion_problem import MotionProblem
 from glissando.planning.scene.plan_motion import motion_problem
+from glissando.planning.scene.sensor_errors import sensor_errors
 from glissando.planning.scene.tendon_body import tendon_body
-from motion_scenes import HELD, LOOSE, ROBOT, UNSURE, any_problem, around, small_scene
+from motion_scenes import COIL, HELD, LOOSE, ROBOT, UNSURE, any_problem, around, small_scene
 from tendon_robot import LENGTH, NAMES, tendon_robot
 
 WORTH = {
@@ -125,6 +129,37 @@ def test_what_is_unknown_of_a_sensor_and_left_out_is_named():
     late = SensorParameter("coil delay", "time_offset", ("coil",), [0.0], [0.02])
     with pytest.warns(FalseConfidenceWarning, match="leaves out that coil delay is not known"):
         motion_problem(small_scene([]), replace(ROBOT, sensor_parameters=(late,)))
+
+
+def test_a_parameter_of_no_sensor_of_the_scene_is_named():
+    mount = SensorParameter("tip mount", "mount", ("aurora0",), np.zeros(6), [1e-3] * 6)
+    with pytest.warns(PlanWarning, match="slides as aurora0, give it that name"):
+        motion_problem(small_scene([]), replace(ROBOT, sensor_parameters=(mount,)))
+
+
+def test_slopes_of_a_sensor_are_those_about_its_expected_value(rng):
+    value, std = 0.3 * rng.standard_normal((2, 6)), rng.uniform(0.1, 1.0, 6)
+    parameters = tuple(
+        SensorParameter(kind, kind, ("coil",), x, std)
+        for kind, x in zip(("frame", "mount"), value, strict=True)
+    )
+    pose = se3.exp(rng.standard_normal(6))
+    sensed, _ = sensor_errors([COIL], replace(ROBOT, sensor_parameters=parameters), pose)
+    raw = COIL.readings(pose[None], np.zeros(1), np.zeros(1))
+    at = State(pose[None], np.zeros((1, 6)), np.zeros((1, 6)))
+    expected = sensed.expected(raw)
+
+    def residual(k, x):
+        moved = [replace(p, value=p.value + x * (j == k)) for j, p in enumerate(parameters)]
+        return corrected(raw, moved).residual(at)[0]
+
+    true = [
+        (residual(k, 1e-6 * d) - residual(k, -1e-6 * d)) / 2e-6
+        for k in range(2)
+        for d in np.diag(std)
+    ]
+    found = sensed.slopes(expected, at, expected.jacobian(at))[0]
+    np.testing.assert_allclose(found, np.stack(true, axis=1), atol=1e-6)
 
 
 def test_weight_that_a_plan_leaves_out_is_named():

@@ -108,7 +108,7 @@ def _check(options: argparse.Namespace) -> int:
         require_replaceable("--store-tube", options.store_tube, options.target, options.recording)
         require_writable(options.store_tube.parent, "--store-tube")
         _require_tubes_own(options.store_tube, options.robot)
-    _refuse_silent(options)
+    _refuse_unused(options)
     if options.draws is not None:
         return check_draws(options)
     if options.target is None:
@@ -147,7 +147,7 @@ def _require_tubes_own(file: Path, robot: str | None) -> None:
         )
 
 
-def _refuse_silent(options: argparse.Namespace) -> None:
+def _refuse_unused(options: argparse.Namespace) -> None:
     """Refuse the options that have no effect on what is checked."""
     if options.draws is not None:
         unjudged = "recording", "store_tube", "level", "block", "leave_out", "allow"

@@ -12,7 +12,7 @@ from glissando.cli.outputs import stated
 from glissando.cli.progress import working
 from glissando.cli.shared import chosen_robot
 from glissando.cli.tables import number_table
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.evaluation.simulation_based import SimulationCheck, simulate_and_rank
 from glissando.geometry.se3 import Array
@@ -88,7 +88,14 @@ def _robot_and_layout(
             file=sys.stderr,
         )
     window = checked_window(recording, window)
-    readings, _, _ = chosen_streams(recording, robot, window, options.use, options.truth)
+    chosen, _, _ = chosen_streams(recording, robot, window, options.use, options.truth)
+    readings = [r for r in chosen if len(r)]
+    if not readings:
+        raise RecordingError(
+            f"{recording.name} has no readings from {seconds(*window)} s; give another --window."
+        )
+    if left := [r.label for r in chosen if not len(r)]:
+        print(f"Without {', '.join(left)}, which read nothing then.", file=sys.stderr)
     return robot, (robot.grid(*window, readings), readings)
 
 

@@ -84,8 +84,8 @@ def _sentence(report: dict[str, object]) -> str:
     mm = {key: 1e3 * float(str(report[key])) for key in ("miss", "tip_std")}
     risk, delta = (100.0 * float(str(report[key])) for key in ("risk", "delta"))
     reached = (
-        f"The tip comes within {mm['miss']:.3g} mm of its targets, known to ± {mm['tip_std']:.3g} "
-        f"mm in the end. "
+        f"The tip comes within {mm['miss']:.3g} mm of its targets, and the robot is off "
+        f"by ± {mm['tip_std']:.3g} mm in the end. "
     )
     if report["clearance"] is None:
         return f"{reached}There is no obstacle."

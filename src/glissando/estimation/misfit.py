@@ -106,8 +106,8 @@ def doubt(prior: Prior, solution: Solution) -> str:
 def _contradicting(terms: Residuals, touch: bool) -> float:
     """The share of residuals (M,) that are farther off than so many can be by chance.
 
-    Of few readings one that is very far off is enough; where a touch may be looked for in them, one
-    that no touch moves so far.
+    Of fewer than ten one that is very far off is enough; where a touch may be looked for in few,
+    those count that no touch moves so far.
     """
     least = _TOUCHED if touch and len(terms.residual) < _FEW else 0.0
     for chance in (_CHANCE, _RARE):

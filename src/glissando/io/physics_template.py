@@ -86,13 +86,13 @@ tubes = [{tubes}]                 # nitinol: the backbone and the tube that slid
 
 {tendons}
 [physics.slide]
-stroke = {stroke:g}
+stroke = {stroke!r}
 speed = 0.024
 acceleration = 0.1
 coil_offset = 0
 
 [physics.full_slide]              # a stage as long as the robot
-stroke = {length:g}
+stroke = {length!r}
 speed = 0.1
 acceleration = 0.2
 

@@ -102,9 +102,9 @@ class CoilModel:
     def residual(self, rig: Rig) -> Array:
         """Expected minus measured (B·5,) in the coil's frame, roll left out, by block."""
         readings, states = self.expected(rig)
-        return self._bunch_means(readings.residual(states))
+        return self._block_means(readings.residual(states))
 
-    def _bunch_means(self, rows: Array) -> Array:
+    def _block_means(self, rows: Array) -> Array:
         """Means (B·5,) over each block of rows (M, 5)."""
         return rows.reshape(-1, self.block_size, ROWS).mean(axis=1).ravel()
 
@@ -138,7 +138,7 @@ class CoilModel:
                 (s_ahead, t_ahead), (s_behind, t_behind) = self.points(ahead), self.points(behind)
                 change += by_arclength * (s_ahead - s_behind)[:, None]
                 change += by_time * (t_ahead - t_behind)[:, None]
-            columns.append(self._bunch_means(change) / (2.0 * _NUDGE))
+            columns.append(self._block_means(change) / (2.0 * _NUDGE))
         return np.stack(columns, axis=-1)
 
     def covariance(self, rig: Rig) -> Array:

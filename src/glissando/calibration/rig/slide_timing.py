@@ -18,7 +18,8 @@ _NUDGE = 0.02  # s over which the carriage's speed is differenced
 _ROUNDS = 5
 _EXACT = 1e-8  # m, standard deviation of a backlash that is known
 _CORRELATED = 4.0  # neighbouring speeds that share the noise of a coil reading
-_MEMORY = 5.0  # s over which the robot's own motion is correlated
+_MEMORY = 10.0  # s over which the robot's own motion is correlated
+_FEWEST = 10  # speeds of the coil
 _FINEST = 1e-6  # m/s that no coil's speed is known better
 _MOVED = 0.1  # of the coil's squared speed: more that is not the carriage's is the robot's
 
@@ -83,12 +84,14 @@ def _regressed(
 ) -> tuple[Array, Array, float] | None:
     """Signed lead, slide delay and backlash (3,), their covariance, and what they leave.
 
-    That is the share of the coil's squared speed that is not the carriage's. None where the slide
-    rested while the coil was seen.
+    That is the share of the coil's squared speed that is neither the carriage's nor noise. None
+    where slide or coil rested, or the coil was hardly seen.
     """
     known = np.diag(np.maximum(std[_FOUND], _EXACT) ** -2.0)
     found = np.array([0.0, lag, expected.backlash])
     stamps, coil_speed = _coil_speeds(data)
+    if stamps.size < _FEWEST or not coil_speed @ coil_speed > 0.0:
+        return None
     for _ in range(_ROUNDS):
         gain, lag, play = found
         followed = data.travel - 0.5 * play * data.side
@@ -106,23 +109,34 @@ def _regressed(
         inverse = np.linalg.inv(seen + known)
         beyond = found - [np.copysign(expected.lead, gain), 0.0, expected.backlash]
         found = found + inverse @ (pull - known @ beyond)
-    share = float(residual @ residual) / float(coil_speed @ coil_speed)
+    white = 2.0 * residual.size * (_noise(data) / _LAP) ** 2
+    share = max(float(residual @ residual) - white, 0.0) / float(coil_speed @ coil_speed)
     return found, np.asarray(inverse, dtype=np.float64), share
+
+
+def _noise(data: RigData) -> float:
+    """Standard deviation of the white noise of the coil's position along its axis, m."""
+    place, axis = data.coil[:, :3, 3], data.coil[1:-1, :3, 2]
+    kinks = np.einsum("mi,mi->m", place[2:] - 2.0 * place[1:-1] + place[:-2], axis)
+    return float(np.median(np.abs(kinks)) / 0.6745 / 6.0**0.5)
 
 
 def _information(time: Array, jacobian: Array, residual: Array) -> tuple[Array, Array]:
     """Information (3, 3) of residuals (P,) at times, and its product with their step (3,).
 
     Of residuals that share the noise of readings and are correlated over `_MEMORY`: products with
-    the slopes are summed over pairs, the less the farther these are apart.
+    the slopes are summed over pairs, the less the farther these are apart. Of a short time the
+    sums are too small, so they count as much more as the time is longer than what is left of it.
     """
     normal, scores = jacobian.T @ jacobian, jacobian * residual[:, None]
     apart = float(np.median(np.diff(time)))
     var = max(float(residual @ residual) / residual.size, _FINEST**2)
-    spread = _CORRELATED * var * normal + scores.T @ scores
+    lasts = float(np.ptp(time))
+    longer = lasts / max(lasts - _MEMORY, 0.1 * lasts)
+    spread = _CORRELATED * var * normal + longer * scores.T @ scores
     for k in range(1, min(int(_MEMORY / apart), len(time) - 1) + 1):
         pair = scores[k:].T @ scores[:-k]
-        spread += (1.0 - k * apart / _MEMORY) * (pair + pair.T)
+        spread += longer * (1.0 - k * apart / _MEMORY) * (pair + pair.T)
     seen = normal @ np.linalg.pinv(spread, hermitian=True) @ normal
     return seen, seen @ np.linalg.pinv(normal, hermitian=True) @ jacobian.T @ residual
 

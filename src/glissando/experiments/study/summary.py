@@ -46,6 +46,8 @@ def _point(value: Any, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     out = {"value": value, "cells": len(rows), "failed": len(rows) - len(sound)}
     if sound:
         seeds, of = np.unique([row["seed"] for row in sound], return_inverse=True)
+        if seeds.size == 1:  # cells are all that can be drawn
+            seeds, of = np.arange(len(sound)), np.arange(len(sound))
         draws, cells = bootstrap(seeds.size, 2000), np.bincount(of)
 
         def mean(values: Array) -> Array:

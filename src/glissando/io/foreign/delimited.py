@@ -23,12 +23,15 @@ _DELIMITERS = "\t;,"
 _COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*")
 _POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
 _BLANKS = re.compile(r'"[^"]*"|\S+')
-_RARE = 0.02  # of the numbers: as few may have come from elsewhere, as those of a heading
 _LOOKED_AT = 200  # lines by which the delimiter is chosen
 REMARKS = ("#", "%")
 """Begin a line that is a remark, or that of the titles."""
 Line = tuple[int, list[str]]
 """The number of a line and its cells."""
+
+
+class Decimal(str):
+    """A number whose decimal comma has become a point."""
 
 
 def cells_of(path: Path) -> list[Line]:
@@ -38,31 +41,32 @@ def cells_of(path: Path) -> list[Line]:
     two are alike; without any, or where commas part no more than a number, blanks part the cells.
 
     Raises:
-        RecordingError: The file cannot be read, or commas and points both stand in its numbers.
+        RecordingError: The file cannot be read.
     """
     lines = text_lines(path)
     delimiter = _delimiter(lines)
     out: list[Line] = []
-    kinds: list[bool] = []  # of numbers, whether they have a comma
     for number, line in enumerate(lines, start=1):
         cells = line.split(delimiter) if delimiter else _BLANKS.findall(line) or [""]
         cells = [cell.strip() for cell in cells]
         if delimiter != ",":
-            kinds += [_COMMA.fullmatch(c) is not None for c in cells if _is_broken(c)]
-            cells = [c.replace(",", ".") if _COMMA.fullmatch(c) else c for c in cells]
+            cells = [Decimal(c.replace(",", ".")) if _COMMA.fullmatch(c) else c for c in cells]
         if out or any(cells):  # empty lines before the first do not count
-            out.append((number, [cell.strip('"') for cell in cells]))
-    if kinds and _RARE < sum(kinds) / len(kinds) < 1.0 - _RARE:
-        raise RecordingError(
-            f"{path.name} has numbers with a comma and others with a point, so one of both parts "
-            f"thousands; write numbers without it."
-        )
+            bare = [c if isinstance(c, Decimal) else c.strip('"') for c in cells]
+            out.append((number, bare))
     return out
 
 
-def _is_broken(cell: str) -> bool:
-    """Whether a cell is a number with a comma or a point."""
-    return bool(_COMMA.fullmatch(cell) or _POINT.fullmatch(cell))
+def _require_one_mark(path: Path, line: int, cells: list[str]) -> None:
+    """Raise RecordingError where numbers of one line had commas and points."""
+    commas = [cell for cell in cells if isinstance(cell, Decimal)]
+    points = [cell for cell in cells if not isinstance(cell, Decimal) and _POINT.fullmatch(cell)]
+    if commas and points:
+        comma = commas[0].replace(".", ",")
+        raise RecordingError(
+            f"{path.name} line {line} has {comma} with a comma and {points[0]} with a point, so "
+            f"one of both parts thousands; write numbers without it."
+        )
 
 
 def _delimiter(lines: list[str]) -> str:
@@ -119,8 +123,9 @@ def samples(
         zeros: Whether nothing but zeros is a reading, where it else says that nothing was seen.
 
     Raises:
-        RecordingError: A cell is no number or the clock goes back, with the line; or it is so
-            coarse that no more than half of what was seen has a time of its own.
+        RecordingError: A cell is no number, one has a comma and another a point, or the clock goes
+            back, with the line; or it is so coarse that no more than half of what was seen has a
+            time of its own.
     """
     times: list[float] = []
     values: list[Array] = []
@@ -128,6 +133,7 @@ def samples(
     missing, before = 0, -np.inf
     for line, cells in rows:
         cells = cells + [""] * (1 + max([clock, *columns]) - len(cells))
+        _require_one_mark(path, line, [cells[c] for c in (clock, *columns)])
         tick = as_numbers(path, line, [cells[clock]])
         if tick is None:
             missing += 1

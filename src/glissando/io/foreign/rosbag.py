@@ -121,6 +121,7 @@ def _track(bag: Any, topic: str) -> Track:
         else:
             missing += 1
     for names in (frames, children):
+        names.discard("")
         if len(names) > 1:
             raise RecordingError(
                 f"Topic {topic} has poses of several frames, {', '.join(sorted(names))}; record "

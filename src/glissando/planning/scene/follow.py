@@ -94,7 +94,9 @@ class MotionFollower:
         self.time = time
 
     def add(self, readings: Readings) -> None:
-        """Take readings of a coil at times of the plan, m and s; their name says which of several.
+        """Take readings of a coil at times of the plan, m and s, as the sensor gave them.
+
+        Its sensor parameters are applied, known ones too. Of several coils the name says which.
 
         Those off the robot, and those that no such robot can give, are counted in `dropped`. The
         limit is wide: a robot is never quite its model, and has to be seen all the same.

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from glissando._kernels.threads import one_thread
-from glissando.errors import FalseConfidenceWarning, GlissandoError
+from glissando.errors import FalseConfidenceWarning, GlissandoError, PlanWarning
 from glissando.estimation.tendon_prediction import warn_of_weight
 from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
@@ -35,7 +35,7 @@ from glissando.planning.scene.motion_starts import (
 from glissando.planning.scene.sampled_risk import sample_risk
 from glissando.planning.scene.scene import Scene
 from glissando.planning.scene.scene_checks import require_scene
-from glissando.planning.scene.sensor_errors import sensor_errors
+from glissando.planning.scene.sensor_errors import SensorErrors, sensor_errors
 from glissando.planning.scene.tendon_body import tendon_body
 
 Progress = Callable[[int, int, str], None]
@@ -129,8 +129,8 @@ def motion_problem(
     body = tendon_body(robot, spacing)
     straight = body.shapes(np.zeros((1, len(body.rod.tendons)))).pose[0, -1]
     sensed, left = sensor_errors(scene.sensors, robot, straight)
-    if left and senses:
-        _warn_of_sensors(left)
+    if senses:
+        _warn_of_sensors(scene, robot, sensed, left)
     size = body.errors + sensed.std.size  # nothing but what the robot file states
     belief = ErrorBelief.unknown(size)
     warn_of_weight(robot, body.straight_std)
@@ -139,8 +139,19 @@ def motion_problem(
     return MotionProblem(scene, body, belief, space, senses, sensed)
 
 
-def _warn_of_sensors(unknown: list[str]) -> None:
-    """Warn that it is left out where or when a scene's sensors may have read."""
+def _warn_of_sensors(scene: Scene, robot: Robot, sensed: SensorErrors, unknown: list[str]) -> None:
+    """Warn that it is left out where or when a scene's sensors may have read, or all of them."""
+    others = sorted({s for p in robot.sensor_parameters if not p.known for s in p.streams})
+    if scene.sensors and others and not (unknown or sensed.parameters):
+        named = ", ".join(sorted({sensor.name for sensor in scene.sensors}))
+        warnings.warn(
+            f"No sensor parameter is of a sensor of the scene ({named}), so the risk counts none; "
+            f"where one slides as {', '.join(others)}, give it that name.",
+            PlanWarning,
+            stacklevel=3,
+        )
+    if not unknown:
+        return
     warnings.warn(
         f"The risk leaves out that {', '.join(unknown)} {'is' if len(unknown) < 2 else 'are'} not "
         f"known: hits may be far more frequent than is stated. Calibrate the sensor, and state "

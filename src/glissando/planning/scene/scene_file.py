@@ -202,7 +202,9 @@ def _quickness(table: Table) -> tuple[float, float]:
 
 
 def _slide(table: Table, robot: Robot) -> tuple[Actuator, SlidingSensor]:
-    sensor = sliding_sensor(robot, table.text("kind", "coil"), rate=table.number("rate", 40.0))
+    kind = table.text("kind", "coil")
+    name, rate = table.text("name", kind), table.number("rate", 40.0)
+    sensor = sliding_sensor(robot, kind, rate=rate, name=name)
     reach = table.vector("reach", 2)
     if not 0.0 <= reach[0] < reach[1] <= robot.length + 1e-9:
         raise table.fail(

@@ -28,10 +28,12 @@ class SensorErrors:
 
     Attributes:
         parameters: They, none of which says where or when readings were taken.
+        stated: All of the sensors, also those that are known, or left out.
         pose: Pose (4, 4) of the body at which their slopes are taken for readings to come.
     """
 
     parameters: tuple[SensorParameter, ...] = ()
+    stated: tuple[SensorParameter, ...] = ()
     pose: Array | None = None
 
     @property
@@ -58,23 +60,26 @@ class SensorErrors:
         """Slopes (M, r, m) of residuals by ζ, of readings at states (M,).
 
         Args:
-            readings: The readings.
+            readings: The readings as expected, see `expected`.
             at: The states.
             by_state: Slopes (M, r, 18) of the residuals by them.
         """
-        out = np.zeros((*by_state.shape[:2], self.std.size))
-        first = 0
+        out, ends = np.zeros((*by_state.shape[:2], self.std.size)), [0]
         for each in self.parameters:
-            columns = slice(first, first := first + each.std.size)
-            if readings.name in each.streams:
-                zero = np.zeros((len(readings), each.std.size))
-                (slope,) = by_parameters(readings, readings, at, by_state, [(each, zero)])
-                out[..., columns] = slope * each.std
+            ends.append(ends[-1] + each.std.size)
+        own = [k for k, each in enumerate(self.parameters) if readings.name in each.streams]
+        pairs = [
+            (each, np.tile(each.value, (len(readings), 1)))
+            for each in (self.parameters[k] for k in own)
+        ]
+        slopes = by_parameters(readings, readings, at, by_state, pairs) if pairs else []
+        for k, slope in zip(own, slopes, strict=True):
+            out[..., ends[k] : ends[k + 1]] = slope * self.parameters[k].std
         return out
 
     def expected(self, readings: Readings) -> Readings:
-        """The readings with every parameter of theirs at its expected value."""
-        return corrected(readings, self.parameters)
+        """What a sensor gave, with every parameter of its own at its expected value."""
+        return corrected(readings, self.stated)
 
 
 def sensor_errors(
@@ -88,7 +93,8 @@ def sensor_errors(
         pose: Pose (4, 4) of the body at which slopes are taken.
     """
     streams = {sensor.name for sensor in sensors}
-    unknown = [p for p in robot.sensor_parameters if not p.known and streams & set(p.streams)]
+    stated = tuple(p for p in robot.sensor_parameters if streams & set(p.streams))
+    unknown = [p for p in stated if not p.known]
     counted = tuple(replace(p, streams=tuple(streams & set(p.streams))) for p in unknown
                     if not p.moves)  # fmt: skip
-    return SensorErrors(counted, pose), [p.name for p in unknown if p.moves]
+    return SensorErrors(counted, stated, pose), [p.name for p in unknown if p.moves]
