@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from draws import generators, law, states
-from glissando import CoilReadings, Grid, SensorParameter, load_robot
+from glissando import CoilReadings, Grid, SensorParameter, load_robot, simulate
 from glissando.cli.main import main
 from glissando.errors import GlissandoError
 from glissando.evaluation.prior_predictive import PriorPredictive, noisy_values, session_layout
@@ -30,6 +30,7 @@ from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.sensors.parameter_process import ParameterValues
 from glissando.model.sensors.readings import SENSORS
 from glissando.model.tendons.channel import Channel
+from glissando.simulation import write_session
 
 ROBOT = Path(__file__).parents[2] / "benchmarks" / "sbc.toml"
 
@@ -172,6 +173,26 @@ def test_the_command_writes_verdict_and_figure_and_says_what_it_lacks(tmp_path, 
     ):
         assert main(["check", *wrong]) == 2
         assert said in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_sessions_of_a_recording_have_its_middle_and_say_what_reads_nothing_then(tmp_path, capsys):
+    folder = tmp_path / "gap"
+    session = simulate("sliding700", shape="C", slide="oscillate", cycles=6)
+    write_session(session, folder, "sliding700")
+    rows = (folder / "coil.csv").read_text().splitlines()
+    last = float(rows[-1].split(",")[0])
+    early = [r for r in rows[1:] if float(r.split(",")[0]) < 0.1 * last]
+    (folder / "coil.csv").write_text("\n".join([rows[0], *early, rows[-1], ""]))
+    assert main(["check", str(folder), "--draws", "20"]) == 2
+    said = capsys.readouterr().err
+    middle = 0.5 * last
+    first, end = (
+        float(said.split("readings of ")[1].split(" s;")[0].split(" to ")[k]) for k in (0, 1)
+    )
+    assert first < middle < end
+    assert end - first == pytest.approx(60.0 / load_robot("sliding700").time_rate, abs=0.01)
+    assert "has no readings from" in said
 
 
 @pytest.mark.slow
