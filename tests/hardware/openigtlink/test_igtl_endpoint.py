@@ -19,7 +19,7 @@ from glissando.hardware.openigtlink import peer_server as peer_server_module
 from glissando.hardware.openigtlink.address import Address
 from glissando.hardware.openigtlink.errors import MalformedError
 from glissando.hardware.openigtlink.framer import Framer
-from glissando.hardware.openigtlink.link import REPORT, PacketLink
+from glissando.hardware.openigtlink.link import Packet, PacketLink
 from glissando.hardware.openigtlink.peer_server import PeerServer
 from igtl_messages import random_messages
 from waiting import until
@@ -125,7 +125,7 @@ def test_a_peer_that_comes_or_goes_is_reported_at_once(monkeypatch):
     thread.start()
 
     def peers():
-        reports.extend(json.loads(data) for kind, data in near.receive() if kind == REPORT)
+        reports.extend(json.loads(data) for kind, data in near.receive() if kind == Packet.REPORT)
         return [report["peers"] for report in reports]
 
     until(lambda: peers() == [0])

@@ -19,14 +19,7 @@ from typing import Self
 from glissando.errors import DeviceError
 from glissando.hardware.openigtlink.address import Address
 from glissando.hardware.openigtlink.errors import MessageError
-from glissando.hardware.openigtlink.link import (
-    ARRIVAL,
-    BUNDLE,
-    FAILURE,
-    MESSAGE,
-    REPORT,
-    PacketLink,
-)
+from glissando.hardware.openigtlink.link import ARRIVAL, Packet, PacketLink
 from glissando.hardware.openigtlink.message import Message, decode
 
 _START, _END = 60.0, 5.0  # s that the process may take to begin and to end
@@ -113,7 +106,7 @@ class Endpoint:
         Returns:
             Whether the process took them; it never waits for it.
         """
-        sent = self._open().send(BUNDLE, b"".join(messages))
+        sent = self._open().send(Packet.BUNDLE, b"".join(messages))
         self._own["not sent"] += not sent
         self._require_alive()
         return sent
@@ -128,17 +121,17 @@ class Endpoint:
         link = self._open()
         link.flush()
         for kind, data in link.receive(_MOST):
-            if kind == MESSAGE:
+            if kind == Packet.MESSAGE:
                 try:
                     out.append((ARRIVAL.unpack_from(data)[0], decode(data[ARRIVAL.size :])))
                 except MessageError:
                     self._own["malformed"] += 1
-            elif kind == REPORT:
+            elif kind == Packet.REPORT:
                 report = json.loads(data)
                 self.peers, self._started = report["peers"], True
                 self._theirs = Counter(report["counts"])
                 self.address = Address(**{**vars(self.address), "port": report["port"]})
-            elif kind == FAILURE:
+            elif kind == Packet.FAILURE:
                 raise DeviceError(data.decode())
         self._require_alive()
         return out

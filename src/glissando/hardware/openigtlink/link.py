@@ -9,12 +9,21 @@ from __future__ import annotations
 
 import socket
 import struct
+from enum import IntEnum
 
 PACKET = struct.Struct(">IB")
-BUNDLE, MESSAGE, REPORT, FAILURE = range(4)
 ARRIVAL = struct.Struct(">d")
 _READ = 1 << 16
 _MOST_READ = 1 << 20  # bytes a call
+
+
+class Packet(IntEnum):
+    """Kinds of packets."""
+
+    BUNDLE = 0  # messages for all peers
+    MESSAGE = 1  # of a peer, after its arrival
+    REPORT = 2  # of how the peers are, in JSON
+    FAILURE = 3  # why there can be no peers
 
 
 class PacketLink:

@@ -24,14 +24,7 @@ from glissando.hardware.openigtlink.address import Address
 from glissando.hardware.openigtlink.contents import StartTracking
 from glissando.hardware.openigtlink.errors import MessageError
 from glissando.hardware.openigtlink.framer import Framer
-from glissando.hardware.openigtlink.link import (
-    ARRIVAL,
-    BUNDLE,
-    FAILURE,
-    MESSAGE,
-    REPORT,
-    PacketLink,
-)
+from glissando.hardware.openigtlink.link import ARRIVAL, Packet, PacketLink
 from glissando.hardware.openigtlink.message import Message, encode
 
 _PEERS = 16  # that may be connected at once
@@ -125,7 +118,7 @@ class PeerServer:
     def _serve(self, ready: socket.socket, events: int) -> None:
         if ready is self._link.socket:
             for kind, data in self._link.receive():
-                if kind == BUNDLE:
+                if kind == Packet.BUNDLE:
                     self._broadcast(data)
         elif ready is self._server:
             with contextlib.suppress(OSError):
@@ -269,27 +262,27 @@ class PeerServer:
     def _pass_on(self) -> None:
         """Pass on messages, and report how things are: now and then, and when peers change."""
         link = self._link
-        while self._messages and link.send(MESSAGE, self._messages[0]):
+        while self._messages and link.send(Packet.MESSAGE, self._messages[0]):
             self._messages.popleft()
         now, peers = time.monotonic(), len(self._peers)
         if now >= self._next_report or peers != self._reported:
             report = {"peers": peers, "port": self.port, "counts": dict(self.counts)}
-            if link.send(REPORT, json.dumps(report).encode()):
+            if link.send(Packet.REPORT, json.dumps(report).encode()):
                 self._next_report, self._reported = now + _REPORT, peers
 
 
 def main(arguments: list[str]) -> None:
-    """Connect to the estimator and exchange; its port, address and mode are the arguments."""
+    """Connect to the estimator and serve peers; its port, address and mode are the arguments."""
     connected = socket.create_connection(("127.0.0.1", int(arguments[0])))
     connected.sendall(sys.stdin.buffer.read(16))
     link = PacketLink(connected)
     try:
-        exchange = PeerServer(Address.parse(arguments[1]), link, hears=arguments[2] == "hear")
+        server = PeerServer(Address.parse(arguments[1]), link, hears=arguments[2] == "hear")
     except DeviceError as problem:
-        link.send(FAILURE, str(problem).encode())
+        link.send(Packet.FAILURE, str(problem).encode())
         return
     with contextlib.suppress(KeyboardInterrupt):
-        exchange.run()
+        server.run()
 
 
 if __name__ == "__main__":

@@ -42,7 +42,7 @@ class Serving:
         cut: Callable[[float], bool] = lambda now: False,
         beat: Callable[[float], float] = lambda now: float("inf"),
     ):
-        self._hear, self._cut, self._beat = receive, cut, beat
+        self._receive, self._cut, self._beat = receive, cut, beat
         self._selector = selectors.DefaultSelector()
         self._due: list[tuple[float, int, Callable[[bytes], object], bytes]] = []
         self._order = count()
@@ -111,7 +111,7 @@ class Serving:
         self._selector.register(client, selectors.EVENT_READ, read)
 
     def _answer(self, held: bytearray, now: float, send: Callable[[bytes], object]) -> None:
-        for when, reply in self._hear(held, now):
+        for when, reply in self._receive(held, now):
             heapq.heappush(self._due, (when, next(self._order), send, reply))
 
     def run(self, *addresses: str) -> None:
