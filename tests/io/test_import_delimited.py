@@ -114,6 +114,15 @@ def test_numbers_that_nobody_reads_may_have_another_mark(tmp_path):
     np.testing.assert_allclose(track.values[:, 0], 0.25e-3)
 
 
+def test_columns_beyond_the_titles_have_numbers_up_to_those_of_the_rows(tmp_path):
+    lines = "\n".join(f"{k},1,2,{k}" for k in range(9))
+    (tmp_path / "t.csv").write_text(f"t,x\n{lines}\n", encoding="utf-8")
+    (track,) = read_tracks(tmp_path / "t.csv", columns="time=t,x=x,y=3,z=4,length=mm")
+    np.testing.assert_allclose(track.values[:, 2], 1e-3 * np.arange(9))
+    with pytest.raises(RecordingError, match="has no column '5'; it has t, x"):
+        read_tracks(tmp_path / "t.csv", columns="time=t,x=x,y=3,z=5,length=mm")
+
+
 TURNS = {
     "qw,qx,qy,qz": lambda turn: np.roll(turn.as_quat(), 1, axis=1),
     "rx,ry,rz": lambda turn: turn.as_rotvec(degrees=True),
@@ -261,7 +270,7 @@ def test_a_path_of_a_slide_is_read_from_its_travel(tmp_path):
         ("t [s] x y z\n1 2 3 4\n", "time=t,x=x,y=y,z=z", "line 1 has 5 titles, and the rows"),
         ("t,x,y,z\n1,2,3,4\n", "time=t,x", "'x' is no KEY=COLUMN"),
         ("t,x,y,z\n1,2,3,4\n", "time=t,x=x,y=y,z=z,angel=deg", "angel is no column; is angle m"),
-        ("0,1,2,3\n", "time=0,x=2,y=3,z=4", "has no column '0'; columns are numbered from 1"),
+        ("0,1,2,3\n", "time=0,x=2,y=3,z=4", "has no column '0'; it has 4 columns, numbered from 1"),
         ("0,1,2,3\n", "time=1,x=1,y=3,z=4", "x is the column of the time, 1; give it its own"),
         ("t,x,y,z\n1,2,3,4\n", "time=t,x=x,y=y,z=z,length=inch", "length is 'inch'; give one of"),
         ("t,x,y,z\n1,2,a,4\n", "time=t,x=x,y=y,z=z", "line 2: '2,a,4' is not all numbers"),

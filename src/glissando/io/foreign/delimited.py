@@ -30,7 +30,7 @@ Line = tuple[int, list[str]]
 """The number of a line and its cells."""
 
 
-class Decimal(str):
+class CommaNumber(str):
     """A number whose decimal comma has become a point."""
 
 
@@ -50,17 +50,19 @@ def cells_of(path: Path) -> list[Line]:
         cells = line.split(delimiter) if delimiter else _BLANKS.findall(line) or [""]
         cells = [cell.strip() for cell in cells]
         if delimiter != ",":
-            cells = [Decimal(c.replace(",", ".")) if _COMMA.fullmatch(c) else c for c in cells]
+            cells = [CommaNumber(c.replace(",", ".")) if _COMMA.fullmatch(c) else c for c in cells]
         if out or any(cells):  # empty lines before the first do not count
-            bare = [c if isinstance(c, Decimal) else c.strip('"') for c in cells]
+            bare = [c if isinstance(c, CommaNumber) else c.strip('"') for c in cells]
             out.append((number, bare))
     return out
 
 
 def _require_one_mark(path: Path, line: int, cells: list[str]) -> None:
     """Raise RecordingError where numbers of one line had commas and points."""
-    commas = [cell for cell in cells if isinstance(cell, Decimal)]
-    points = [cell for cell in cells if not isinstance(cell, Decimal) and _POINT.fullmatch(cell)]
+    commas = [cell for cell in cells if isinstance(cell, CommaNumber)]
+    points = [
+        cell for cell in cells if not isinstance(cell, CommaNumber) and _POINT.fullmatch(cell)
+    ]
     if commas and points:
         comma = commas[0].replace(".", ",")
         raise RecordingError(

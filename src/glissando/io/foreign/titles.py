@@ -9,12 +9,11 @@ from pathlib import Path
 from glissando.errors import RecordingError
 from glissando.io.foreign.delimited import REMARKS, Line
 
-_MOST = 10_000  # columns of a file without titles
-
 
 def titled(path: Path, lines: list[Line], wanted: Sequence[str]) -> tuple[list[str], list[Line]]:
-    """The titles of the columns, none where all are asked for by number, and the rows.
+    """The titles of the columns, empty where they have none, and the rows.
 
+    Where all are asked for by number, none has a title.
     The line of the titles may begin as a remark does.
 
     Args:
@@ -30,18 +29,23 @@ def titled(path: Path, lines: list[Line], wanted: Sequence[str]) -> tuple[list[s
         first = next(
             (k for k, (_, cells) in enumerate(lines) if _is_row(cells, wanted)), len(lines)
         )
-        return [], lines[first:]
+        return _over_all([], lines[first:]), lines[first:]
     for k, (number, cells) in enumerate(lines):
         rows = lines[k + 1 :]
         for titles in (_uncommented(cells, rows), cells):
             if all(name in titles for name in named):
                 _require_width(path, number, titles, rows)
-                return titles, rows
+                return _over_all(titles, rows), rows
     shown = ", ".join(repr(c) for c in (lines[0][1] if lines else []))[:200]
     raise RecordingError(
         f"{path.name} has no line with the titles {', '.join(named)}; it begins with {shown}. Name "
         f"columns as the file does, or by number from 1."
     )
+
+
+def _over_all(titles: list[str], rows: list[Line]) -> list[str]:
+    """The titles, and empty ones for the columns that have none."""
+    return titles + [""] * (_width(rows) - len(titles))
 
 
 def _uncommented(titles: list[str], rows: list[Line]) -> list[str]:
@@ -88,9 +92,10 @@ def find(path: Path, titles: list[str], column: str) -> int:
         )
     if column in titles:
         return titles.index(column)
-    if column.isdecimal() and 0 < int(column) <= (len(titles) or _MOST):
+    if column.isdecimal() and 0 < int(column) <= len(titles):
         return int(column) - 1
-    has = f"it has {', '.join(titles)}" if titles else "columns are numbered from 1"
+    named = ", ".join(filter(None, titles))
+    has = f"it has {named or f'{len(titles)} columns, numbered from 1'}"
     raise RecordingError(f"{path.name} has no column {column!r}; {has}.")
 
 
