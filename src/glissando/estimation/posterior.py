@@ -117,8 +117,8 @@ class Posterior(ShortRepr):
         self.grid.require(s.ravel(), t.ravel(), "Query")
         k = np.abs(t.ravel()[:, None] - self.grid.time).argmin(axis=1)
         prior, grid, state = self.prior, self.grid, self.state
-        transport = partial(spread, grid, self.marginals)
-        load = point_loads(prior, grid, state, transport, s.ravel(), k, frame)
+        at_points = partial(spread, grid, self.marginals)
+        load = point_loads(prior, grid, state, at_points, s.ravel(), k, frame)
         wrench, cov = load.wrench.reshape(*s.shape, 6), load.cov.reshape(*s.shape, 6, 6)
         return WrenchEstimate(wrench, cov, frame)
 
