@@ -86,7 +86,8 @@ STREAM = {
     "slide_lag": "behind",
     "slide_play": "tight",
 }
-ASKED = [unknown(kind, STREAM[kind], std=0.3) for kind in SIZES]
+STD = dict.fromkeys(SIZES, 0.3) | {"slide_play": 0.1}
+ASKED = [unknown(kind, STREAM[kind], std=STD[kind]) for kind in SIZES]
 
 
 @pytest.fixture(scope="module")

@@ -41,15 +41,6 @@ _LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
     "huber": Huber,
     "geman-mcclure": GemanMcClure,
 }
-_PLAUSIBLE_STD: dict[str, Array | float] = {
-    "frame": np.repeat([2.0, np.pi], 3),
-    "mount": np.repeat([0.5, np.pi], 3),
-    "arclength_offset": 1.0,
-    "time_offset": 5.0,
-    "slide_lag": 5.0,
-    "slide_play": 0.1,
-}
-"""Standard deviations of sensor parameters, m, rad or s, beyond which a unit is wrong."""
 
 
 def load_robot(name: str | Path) -> Robot:
@@ -205,11 +196,6 @@ def _sensor_parameter(table: Table) -> SensorParameter:
     std = table.vector("std", size, np.zeros(size), positive=True)
     drifts = table.peek("correlation_time") is not None
     memory = table.number("correlation_time", 1.0)
-    most = _PLAUSIBLE_STD.get(kind, np.inf)
-    if np.any(std > most):
-        raise table.fail(
-            "std", f"is {std.tolist()} for a {kind}; give metres, radians and seconds."
-        )
     streams = tuple(table.texts("streams"))
     table.close()
     return SensorParameter(name, kind, streams, value, std, memory if drifts else np.inf)

@@ -48,11 +48,22 @@ _MOVES: dict[str, tuple[str, Callable[[Readings], Array | float]]] = {
     "slide_lag": ("arclength", lambda r: -r.slide_speed),
     "slide_play": ("arclength", lambda r: -0.5 * r.slide_way),
 }  # what a parameter moves readings along, and by how much one unit of it
-_FARTHEST_FRAME, _FARTHEST_MOUNT = 50.0, 2.0  # m, of the value and of its deviation
-_TURN = 7.0  # rad
 SIZES = {"frame": 6, "mount": 6, "bias": 3} | dict.fromkeys(_MOVES, 1)
 """Kinds of sensor parameter and how many numbers each has."""
 
+_TURN = 7.0  # rad
+_LARGEST_VALUE: dict[str, Array | float] = {
+    "frame": np.repeat([50.0, _TURN], 3),
+    "mount": np.repeat([2.0, _TURN], 3),
+}
+_LARGEST_STD: dict[str, Array | float] = {
+    "frame": np.repeat([2.0, np.pi], 3),
+    "mount": np.repeat([0.5, np.pi], 3),
+    "arclength_offset": 1.0,
+    "time_offset": 5.0,
+    "slide_lag": 5.0,
+    "slide_play": 0.1,
+}  # m, rad or s, beyond which a unit is wrong
 _FOR = {"frame": ((4, 4), (3, 3), (3,)), "bias": ((3,),)}  # kinds of value each is made for
 
 
@@ -113,16 +124,14 @@ class SensorParameter:
             )
 
     def _require_units(self, part: str, given: Array) -> None:
-        """Raise SensorError for a frame or a mount in millimetres or degrees."""
-        farthest = {"frame": _FARTHEST_FRAME, "mount": _FARTHEST_MOUNT}.get(self.kind)
-        if farthest is None:
-            return
-        for half, most, unit in ((given[:3], farthest, "metres"), (given[3:], _TURN, "radians")):
-            if np.abs(half).max() > most:
-                raise SensorError(
-                    f"Sensor parameter {self.name!r}: {part} is {given.tolist()}; give {unit}, of "
-                    f"which {most:g} are most, in a {self.kind}."
-                )
+        """Raise SensorError for millimetres, degrees or milliseconds."""
+        most = (_LARGEST_VALUE if part == "value" else _LARGEST_STD).get(self.kind)
+        if most is not None and np.any(np.abs(given) > most):
+            limits = np.round(np.atleast_1d(most), 2).tolist()
+            raise SensorError(
+                f"Sensor parameter {self.name!r}: {part} is {given.tolist()} for a {self.kind}; "
+                f"give metres, radians and seconds, at most {limits}."
+            )
 
     def _numbers(self, part: str) -> Array:
         given = getattr(self, part)
