@@ -74,7 +74,7 @@ def wound(robot, grid, rng):
     rest = robot.prior.rest_state(grid)
     step = np.zeros((*grid.shape, rest.dof))
     step[..., 9:12] = turn / robot.length
-    return robot.prior.bent(grid, rest, step)
+    return robot.prior.retract_strains(grid, rest, step)
 
 
 def on_nodes(motion, grid):

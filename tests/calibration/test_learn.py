@@ -223,8 +223,8 @@ def test_a_document_that_cannot_be_estimated_is_a_bad_one_and_not_the_end(in_pro
     assert found.after.value >= found.before.value
     goal = Objective([case], False)
     about = goal.score(document, goal.start())
-    assert workers.score_beside(about, start(noise=1.0)) is None
-    assert workers.score_beside(about, start(noise=0.3)) is not None
+    assert workers.nearby_score(about, start(noise=1.0)) is None
+    assert workers.nearby_score(about, start(noise=0.3)) is not None
 
 
 def test_a_start_that_cannot_be_estimated_is_said_to_be(in_process):

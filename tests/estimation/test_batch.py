@@ -141,7 +141,7 @@ def test_starts_that_are_absurd_end_as_a_start_at_rest_does(seed):
     bend[..., 9:12] = rng.uniform(0.5, 1.0) * np.pi * turn / np.linalg.norm(turn) / LENGTH
     for start in (
         rest.retract(rng.standard_normal((*grid.shape, 18))),
-        prior.bent(grid, rest, bend),
+        prior.retract_strains(grid, rest, bend),
     ):
         found = estimate(prior, grid, readings, initial=start)
         assert found.solve.converged

@@ -201,7 +201,9 @@ def test_a_right_angle_bend_with_stiff_shear_converges_from_a_straight_start(see
 
 def test_a_prior_whose_shear_is_soft_already_is_not_softened():
     soft = load_robot("tdcr466").prior
-    assert soft.softened() is soft
+    assert soft.with_soft_shear() is soft
     stiff = scenes.robot().prior
-    assert np.all(stiff.softened().psd_strain_arclength[:3] > stiff.psd_strain_arclength[:3])
-    assert np.array_equal(stiff.softened().psd_strain_arclength[3:], stiff.psd_strain_arclength[3:])
+    assert np.all(stiff.with_soft_shear().psd_strain_arclength[:3] > stiff.psd_strain_arclength[:3])
+    assert np.array_equal(
+        stiff.with_soft_shear().psd_strain_arclength[3:], stiff.psd_strain_arclength[3:]
+    )

@@ -11,7 +11,7 @@ from draws import generators, law, sixes
 from glissando.errors import SimulationError
 from glissando.geometry import se3
 from glissando.hardware.drivers.aurora_protocol import frame_command, parse_bx, parse_tx
-from glissando.hardware.simulated_devices.aurora_device import Device, Nature, Sensing
+from glissando.hardware.simulated_devices.aurora_device import Device, DeviceIdentity, Sensing
 from glissando.hardware.simulated_devices.faults import AuroraFaults, FaultDraws, parse_faults
 from glissando.hardware.simulated_devices.scene import Scene, SceneCoil
 from glissando.hardware.simulated_devices.travel import MESSAGE, Travel
@@ -21,7 +21,10 @@ from glissando.simulation.imperfections import Imperfections
 
 def device(faults="", scene=None, seed=0, **nature):
     scene = tell_tale() if scene is None else scene
-    dice, nature = FaultDraws(parse_faults(AuroraFaults, faults), seed), Nature(0.0, **nature)
+    dice, nature = (
+        FaultDraws(parse_faults(AuroraFaults, faults), seed),
+        DeviceIdentity(0.0, **nature),
+    )
     return Device(scene, Sensing(scene, None, 0.0, 0.0, nature.rate), dice, nature)
 
 

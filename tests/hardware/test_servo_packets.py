@@ -197,22 +197,22 @@ def line(faults, seed=1):
 def test_faults_of_one_seed_are_the_same_whatever_the_time_and_the_other_faults():
     packets = [packed(1, Do.STATUS, bytes([k])) for k in range(200)]
     alone, again, more = line("short=0.1"), line("short=0.1"), line("short=0.1,late=0.5:1")
-    first = [alone.spoil(p, 0.0)[1] for p in packets]
-    assert first == [again.spoil(p, 7.0)[1] for p in packets]
-    assert first == [more.spoil(p, 0.0)[1] for p in packets]
+    first = [alone.corrupted(p, 0.0)[1] for p in packets]
+    assert first == [again.corrupted(p, 7.0)[1] for p in packets]
+    assert first == [more.corrupted(p, 0.0)[1] for p in packets]
     assert 5 < sum(a != b for a, b in zip(first, packets, strict=True)) < 40
 
 
 def test_a_corrupt_packet_never_has_a_good_checksum():
     spoiled = line("corrupt=1")
     for k in range(200):
-        _, wire = spoiled.spoil(packed(1, Do.STATUS, bytes([0, k])), 0.0)
+        _, wire = spoiled.corrupted(packed(1, Do.STATUS, bytes([0, k])), 0.0)
         assert crc16(wire[:-2]) != int.from_bytes(wire[-2:], "little")
 
 
 def test_silence_begins_and_ends_where_it_was_asked_to():
     quiet = line("silent=3:2")
-    assert [len(quiet.spoil(b"abc", 0.0)[1]) for _ in range(7)] == [3, 3, 3, 0, 0, 3, 3]
+    assert [len(quiet.corrupted(b"abc", 0.0)[1]) for _ in range(7)] == [3, 3, 3, 0, 0, 3, 3]
 
 
 def test_a_dead_servo_neither_hears_nor_answers_and_its_watchdog_bites():

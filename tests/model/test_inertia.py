@@ -151,7 +151,7 @@ def test_errors_of_drawn_motions_are_as_large_as_stated(inflate, draws, honest):
     found = []
     for _ in range(draws):
         step = inflate * drawn.sample(rng).reshape(*grid.shape, -1)
-        truth = prior.bent(grid, rest, step)
+        truth = prior.retract_strains(grid, rest, step)
         noise = rng.standard_normal((read.size, 6)) * np.append(STD, STD[-1])
         where = {"time": grid.time[read], "arclength": np.full(read.size, 0.6)}
         coil = CoilReadings(

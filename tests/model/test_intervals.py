@@ -112,7 +112,7 @@ def test_a_point_inside_runs_from_one_end_to_the_other(rng):
 def test_errors_move_as_a_step_says_when_poses_follow_from_strains(rng):
     state = moving(rng)
     step = 0.3 * rng.standard_normal((*GRID.shape, RATED))
-    bent = separable().bent(GRID, state, step)
+    bent = separable().retract_strains(GRID, state, step)
     base, straight = bent.take(np.s_[:, 0]), state.retract(step).take(np.s_[:, 0])
     assert np.abs(base.difference(straight)).max() < 1e-12
     for n, length in enumerate(np.diff(GRID.arclength)):

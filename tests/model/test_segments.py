@@ -139,7 +139,7 @@ def test_a_shape_with_a_jump_keeps_its_poses_when_a_step_bends_it(kind):
         strain=np.broadcast_to(strain, state.strain.shape).copy(),
     )
     step = np.zeros((*GRID.shape, state.dof))
-    found = prior.bent(GRID, bent, step)
+    found = prior.retract_strains(GRID, bent, step)
     np.testing.assert_allclose(found.pose, bent.pose, atol=1e-8)
 
 

@@ -122,15 +122,17 @@ def test_slack_tendons_leave_the_rod_straight_and_more_slack_changes_nothing():
 def test_play_is_the_play_operator_once_it_was_taken_up_and_unknown_until_then():
     robot = tendon_robot(play=[4e-4, 0.0, 1e-3, 0.0, 0.0, 2e-4])
     pulled = np.cumsum(3e-4 * np.random.default_rng(3).standard_normal((200, 6)), axis=0)
-    reached, unsettled = robot.tendons.effective(pulled), robot.tendons.unsettled(pulled)
-    np.testing.assert_allclose(unsettled[0], robot.tendons.play / np.sqrt(12.0), atol=1e-15)
-    assert not unsettled[-1].any()
+    reached, std_in_play = robot.tendons.effective(pulled), robot.tendons.std_in_play(pulled)
+    np.testing.assert_allclose(std_in_play[0], robot.tendons.play / np.sqrt(12.0), atol=1e-15)
+    assert not std_in_play[-1].any()
     for j, half in enumerate(0.5 * robot.tendons.play):
         state = pulled[0, j] + np.linspace(-half, half, 2001)
         for k, now in enumerate(pulled[:, j]):
             state = np.clip(state, now - half, now + half)
             assert state.mean() == pytest.approx(reached[k, j], abs=2e-3 * half + 1e-12)
-            assert state.std() == pytest.approx(unsettled[k, j], rel=2e-3, abs=1e-2 * half + 1e-12)
+            assert state.std() == pytest.approx(
+                std_in_play[k, j], rel=2e-3, abs=1e-2 * half + 1e-12
+            )
 
 
 @pytest.mark.parametrize(

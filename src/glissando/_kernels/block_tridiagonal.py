@@ -82,7 +82,7 @@ def factor(diagonal, lower, start, inverse, coupling):
 
 
 @jit()
-def less_coupled(coupling, before, y):
+def subtract_coupling(coupling, before, y):
     """Take off a slab what couples it (D, D) to the solution of the slab before it: y −= Cᵀ x."""
     for j in range(len(y)):
         row, value = coupling[j], before[j]
@@ -134,7 +134,7 @@ def solve(inverse, coupling, x):
     """Solve with the matrix, in place (K, D)."""
     for k in range(len(x)):
         if k:
-            less_coupled(coupling[k - 1], x[k - 1], x[k])
+            subtract_coupling(coupling[k - 1], x[k - 1], x[k])
         forward_slab(inverse[k], x[k])
     backward(inverse, coupling, x)
 

@@ -33,7 +33,7 @@ def roll_of(pose):
 
 
 @jit(inline=True)
-def alike_across(density):
+def transversely_isotropic(density):
     """Whether densities (6,) are the same across z in every direction."""
     return density[0] == density[1] and density[3] == density[4]
 

@@ -32,7 +32,7 @@ from glissando._kernels.process import (
     process_into,
     whiten_into,
 )
-from glissando._kernels.rolls import alike_across, turn_back, turn_on
+from glissando._kernels.rolls import transversely_isotropic, turn_back, turn_on
 from glissando._kernels.scratch import matrix, vector
 
 RIGID, FREE = np.True_, np.False_  # for literals numba would compile a second time
@@ -124,7 +124,11 @@ def step_into(
     for i in range(6):
         for j in range(6):
             lost_info[i, j] *= weight
-    if alike_across(psd) and alike_across(carried_psd) and alike_across(jump):
+    if (
+        transversely_isotropic(psd)
+        and transversely_isotropic(carried_psd)
+        and transversely_isotropic(jump)
+    ):
         turn_back(error, slopes)
         turn_back(lost, lost_slopes)
 
@@ -151,7 +155,11 @@ def weighted_steps(
             step[n], weight[n], psd[n], carried_psd[n], jump[n], rigid,
             error[n], slopes[n], info[n], lost[n], lost_slopes[n], lost_info[n],
         )  # fmt: skip
-        if alike_across(psd[n]) and alike_across(carried_psd[n]) and alike_across(jump[n]):
+        if (
+            transversely_isotropic(psd[n])
+            and transversely_isotropic(carried_psd[n])
+            and transversely_isotropic(jump[n])
+        ):
             turn_on(angle[a], error[n], slopes[n])
             turn_on(angle[a], lost[n], lost_slopes[n])
     return error, slopes, info, lost, lost_slopes, lost_info

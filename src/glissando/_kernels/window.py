@@ -19,8 +19,8 @@ from glissando._kernels.block_tridiagonal import (
     forward_slab,
     has_information,
     inverse_factor,
-    less_coupled,
     less_coupling,
+    subtract_coupling,
 )
 from glissando._kernels.jit import jit
 from glissando._kernels.normal_equations import SUMS
@@ -38,7 +38,7 @@ def _known(blocks, vectors, own, older, end, rhs_end):
         for b in range(a + 1):
             known[a, b] = end[a, b]
     lower_product(coupling, coupling, known, -1.0, 1.0, True, False)
-    less_coupled(coupling, vectors[SOLVED, older], behind)
+    subtract_coupling(coupling, vectors[SOLVED, older], behind)
 
 
 @jit()
@@ -105,7 +105,7 @@ def respond(blocks, vectors, slot, start, rhs_begin, rhs_end, step):
         if i:
             for a in range(step.shape[1]):
                 behind[own, a] = rhs_end[i - 1, a]
-            less_coupled(blocks[COUPLING, slot[k - 1]], solved[slot[k - 1]], behind[own])
+            subtract_coupling(blocks[COUPLING, slot[k - 1]], solved[slot[k - 1]], behind[own])
         for a in range(step.shape[1]):
             solved[own, a] = rhs_begin[i, a] + behind[own, a]
         forward_slab(blocks[INVERSE, own], solved[own])

@@ -19,7 +19,7 @@ from glissando.errors import (
 from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
 from glissando.estimation.given import require_batch, require_gate
-from glissando.estimation.misfit import breakdown, doubt, worst_readings
+from glissando.estimation.misfit import breakdown, misfit_sentence, worst_readings
 from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
 from glissando.estimation.place_evidence import by_evidence
 from glissando.estimation.posterior import Posterior
@@ -308,5 +308,5 @@ def _report(prior: Prior, solution: Solution, log_evidence: float, clock: Stopwa
         suspects,
         clock.total(),
         worst="" if solution.outcome.sound else worst_readings(solution),
-        doubt=doubt(prior, solution) if solution.outcome.sound else "",
+        doubt=misfit_sentence(prior, solution) if solution.outcome.sound else "",
     )

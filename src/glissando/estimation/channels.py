@@ -22,7 +22,7 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.tendons import up_to
 from glissando.model.state import State
 from glissando.model.tendons.channel import Channel
-from glissando.model.tendons.travel import channel_lengths, hats
+from glissando.model.tendons.travel import channel_lengths, hat_functions
 from glissando.solver.measurement_factors import states_at
 
 _ROUNDS = 8
@@ -86,7 +86,7 @@ def _positions(
     unit = tangent / speed[..., None]
     by_strain = np.concatenate([unit, np.cross(channel.path(fine)[0], unit)], axis=-1)
     weights = np.stack([up_to(fine, s) for s in where]) / here[:, None]
-    slope = -hats(nodes, fine).T @ (weights[..., None] * by_strain)
+    slope = -hat_functions(nodes, fine).T @ (weights[..., None] * by_strain)
     return where, travel - inside, slope
 
 

@@ -160,7 +160,7 @@ def scan_contacts(
     seen, scans = seen_times(posterior), []
     for k in rows:
         evidence = force_evidence(prior, nodes, errors[k], state.take(k), cov[k], step[k])
-        evidence = evidence if seen[k] else evidence.of_nothing()
+        evidence = evidence if seen[k] else evidence.uninformative()
         scans.append(scan_of(evidence, errors[k].time, variance, false_alarms))
     if grid.time.size > 1:
         scans = with_forces(posterior, scans, rows, variance)
@@ -221,7 +221,7 @@ def scan_of(
     ratio = 0.5 * np.einsum("ci,ci->c", evidence.vector, force) - half_log_det
     best = int(np.argmax(ratio))
     total = np.asarray(logsumexp(ratio, b=evidence.shares))
-    threshold = np.asarray(evidence.untouched(variance, false_alarms))
+    threshold = np.asarray(evidence.alarm_threshold(variance, false_alarms))
     when, places = np.asarray(time), evidence.arclength
     found = force[best], cov[best]
     return ContactScan(when, places, ratio, *found, total, threshold, false_alarms)

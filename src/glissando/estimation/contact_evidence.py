@@ -55,7 +55,7 @@ class ErrorPrior:
         """Covariance (N−1, 12, 12) of the errors."""
         return np.asarray(self.cov[0, 0])
 
-    def onward(self, time_scale: float, time: float, noise: Array) -> ErrorPrior:
+    def advanced(self, time_scale: float, time: float, noise: Array) -> ErrorPrior:
         """The one at a later time, whose shape has errors of covariance `noise`."""
         step = np.array([time - self.time])
         fade = matern.transition(time_scale, step)[0]
@@ -85,7 +85,7 @@ def error_priors(
             cov = np.einsum("ab,nij->abnij", matern.stationary(prior.time_scale), here)
             before = ErrorPrior(float(time), here, cov)
         elif before.time < time:
-            before = before.onward(prior.time_scale, float(time), here)
+            before = before.advanced(prior.time_scale, float(time), here)
         out.append(before)
     return out
 
@@ -128,7 +128,7 @@ class ForceEvidence:
         """What it says of some of the places."""
         return ForceEvidence(self.arclength[rows], self.vector[rows], self.root[:, rows])
 
-    def of_nothing(self) -> ForceEvidence:
+    def uninformative(self) -> ForceEvidence:
         """What a state that no reading tells of says."""
         return ForceEvidence(self.arclength, 0.0 * self.vector, 0.0 * self.root)
 
@@ -145,7 +145,7 @@ class ForceEvidence:
         cov = np.asarray(np.linalg.inv(blocks + np.diag(1.0 / variance)), dtype=float)
         return cov, 0.5 * np.linalg.slogdet(np.eye(3) + variance[:, None] * blocks)[1]
 
-    def untouched(self, variance: Array, false_alarms: float) -> float:
+    def alarm_threshold(self, variance: Array, false_alarms: float) -> float:
         """What the evidence of a force anywhere exceeds in a share of robots that nothing touches.
 
         Their maps are smooth, so two places an interval are enough.

@@ -187,7 +187,7 @@ class FixedLagSmoother:
         errors = error_priors(prior, Grid(self.arclength, nodes.time), nodes.state, self._errors)
         self._errors, newest = errors[0], (errors[-1], nodes.state.take(-1), cov, step)
         evidence = force_evidence(prior, self.arclength, *newest)
-        evidence = evidence if self._steps.read else evidence.of_nothing()
+        evidence = evidence if self._steps.read else evidence.uninformative()
         variance = force_variance(prior, self.arclength, std_force)
         scan = scan_of(evidence, errors[-1].time, variance, false_alarms)
         if len(nodes) == 1 and self._window.before is None:

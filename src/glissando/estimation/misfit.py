@@ -74,7 +74,7 @@ def is_implausible(prior: Prior, solution: Solution, excess: float = _EXCESS) ->
     return bool(implausible(prior, cost, count, excess))
 
 
-def doubt(prior: Prior, solution: Solution) -> str:
+def misfit_sentence(prior: Prior, solution: Solution) -> str:
     """A sentence on streams that mostly contradict the estimate, or on its cost, or none.
 
     Readings follow an estimate more closely than they scatter about the truth, so where many do
@@ -140,7 +140,7 @@ def breakdown(
         prior: The prior.
         readings: The readings that were to be explained.
     """
-    far = far_off(grid, prior, readings)
+    far = unreachable_readings(grid, prior, readings)
     if far is None and isinstance(error, UnobservableError):
         return _too_close(grid) or error
     named = ", ".join(r.label for r in readings[:_NAMED])
@@ -162,7 +162,9 @@ def _too_close(grid: Grid) -> OutsideGridError | None:
     )
 
 
-def far_off(grid: Grid, prior: Prior, readings: Sequence[Readings]) -> UnreachableError | None:
+def unreachable_readings(
+    grid: Grid, prior: Prior, readings: Sequence[Readings]
+) -> UnreachableError | None:
     """What to say where equations break down since readings are far beyond the robot's reach."""
     base = prior.rest_state(Grid(grid.arclength, grid.time[:1])).pose[0, 0, :3, 3]
     farthest, where = _FAR * float(grid.arclength[-1]), ""

@@ -44,7 +44,7 @@ def starting_point(
     Returns:
         State (K, N), the readings with the sensor parameters that go with it, iterations.
     """
-    state, iterations, soft = prior.rest_state(located.grid), 0, prior.softened()
+    state, iterations, soft = prior.rest_state(located.grid), 0, prior.with_soft_shear()
     coarse = _coarsened(located) if state.inertia is None else None  # coarse nodes miss vibration
     if coarse is not None:
         options = SolverOptions.rough(coarse.grid.time.size * state.numbers)

@@ -22,7 +22,7 @@ from glissando.estimation.given import (
     require_options,
     require_streams,
 )
-from glissando.estimation.misfit import far_off
+from glissando.estimation.misfit import unreachable_readings
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.static_iteration import Solved, iterate, node_covariances
 from glissando.estimation.static_posterior import StaticPosterior, require_whole
@@ -166,14 +166,14 @@ def _together(prior: Prior, located: LocatedReadings, options: SolverOptions) ->
 def _require_reach(prior: Prior, located: LocatedReadings) -> None:
     """Raise SensorError where readings lie far beyond the robot's reach."""
     first = prior.of_shape(0) if isinstance(prior, MechanicalPrior) else prior
-    far = far_off(located.grid, first, located.streams)
+    far = unreachable_readings(located.grid, first, located.streams)
     if far is not None:
         raise far
 
 
 def _first_shapes(prior: Prior, located: LocatedReadings) -> State:
     """Shapes to start from: at rest, or what a softened prior leads to from there."""
-    soft, start = prior.softened(), prior.rest_state(located.grid)
+    soft, start = prior.with_soft_shear(), prior.rest_state(located.grid)
     if soft is prior:
         return start
     rough = SolverOptions.rough(located.grid.arclength.size * STATIC_DOF)

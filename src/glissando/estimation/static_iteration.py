@@ -69,7 +69,7 @@ def iterate(
         for share in _SHARES:
             if not np.any(refused):
                 break
-            bent = _tame(grid, prior.bent(grid, here.state, share * step), here.state)
+            bent = _tame(grid, prior.retract_strains(grid, here.state, share * step), here.state)
             stepped = linearize_static(prior, located, _chosen(refused, bent, stepped.state), noise)
             refused &= ~_worthwhile(here, stepped, share * promise)
         if np.any(refused):

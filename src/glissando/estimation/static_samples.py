@@ -138,7 +138,7 @@ def _drawn(
         step = np.zeros((*grid.shape, rest.dof))
         solved = here.cholesky.solve(here.rhs.reshape(-1, STATIC_DOF))
         step[..., :STATIC_DOF] = solved.reshape(here.rhs.shape)
-        start = prior.bent(grid, rest, step)
+        start = prior.retract_strains(grid, rest, step)
     else:
         start = known.take(rng.integers(len(known.pose), size=grid.time.size))
         start = start.with_fields_of(rest)

@@ -66,7 +66,7 @@ def predict(
     shape = equilibrium(rod, displacement=rod.tendons.effective(displacement))
     node = np.searchsorted(rod.nodes, places - 1e-9)
     cov = np.zeros((len(shape.strain), len(places), DOF, DOF))
-    of_shape = shape.cov(rod.tendons.unsettled(displacement))
+    of_shape = shape.cov(rod.tendons.std_in_play(displacement))
     cov[..., : _VELOCITY.start, : _VELOCITY.start] = of_shape[:, node]
     by_pull = shape.pose_by(shape.strain_by_displacement())[:, node]
     velocity, cov[..., _VELOCITY, _VELOCITY] = _velocity(rod, time, displacement, by_pull)
@@ -114,7 +114,7 @@ def predict_tip(robot: Robot, displacement: Array, stream: str) -> tuple[Array, 
     frame = se3.inverse(se3.exp(robot.stated_transform("frame", stream)))
     marker = frame @ shape.pose()[:, -1] @ mount
     lever, turn = se3.adjoint(se3.inverse(mount)), marker[:, :3, :3]
-    cov_pose = shape.cov(rod.tendons.unsettled(displacement))[:, -1, :6, :6]
+    cov_pose = shape.cov(rod.tendons.std_in_play(displacement))[:, -1, :6, :6]
     cov = turn @ se3.position_covariance(lever @ cov_pose @ lever.T) @ np.swapaxes(turn, 1, 2)
     noise = robot.sensor_std.get("position", np.zeros(3))
     return marker[:, :3, 3], cov + np.diag(np.broadcast_to(noise, 3) ** 2)

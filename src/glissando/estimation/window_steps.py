@@ -17,7 +17,7 @@ from glissando.errors import OutsideGridError, UnobservableError
 from glissando.estimation.gated_update import GatedUpdate
 from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
-from glissando.estimation.misfit import breakdown, far_off
+from glissando.estimation.misfit import breakdown, unreachable_readings
 from glissando.estimation.reading_buffer import ReadingBuffer
 from glissando.estimation.reading_pause import ReadingPause
 from glissando.estimation.shape_spread import ShapeSpread, shape_covariances, tip_spread
@@ -286,7 +286,7 @@ class WindowSteps:
         except _BREAKDOWNS as again:
             prior, grid = self.window.prior, self.window.grid()
             streams = self.buffer.streams(-np.inf)
-            far = None if self._explained else far_off(grid, prior, streams)
+            far = None if self._explained else unreachable_readings(grid, prior, streams)
             if prior.fixes_base:
                 self.update.refuse(fresh)
                 self._begin_again(newest, fresh)

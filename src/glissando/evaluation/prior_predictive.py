@@ -144,7 +144,7 @@ class PriorPredictive:
     def _draw_motion(self, rng: np.random.Generator) -> State:
         """A motion at the fine nodes."""
         step = self._root.sample(rng).reshape(*self.fine.shape, -1)
-        return self.prior.bent(self.fine, self._rest, step)
+        return self.prior.retract_strains(self.fine, self._rest, step)
 
     def _draw_parameters(self, rng: np.random.Generator) -> Array:
         """Values (K, E) of Ornstein-Uhlenbeck processes at the fine time nodes."""

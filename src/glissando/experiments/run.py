@@ -18,7 +18,7 @@ from glissando.experiments.confidence import confidence_at_coil, confidence_foll
 from glissando.experiments.figures_bodies import coil_figure, following_figure
 from glissando.experiments.figures_numbers import causes_figure, moving_figure, table_figure
 from glissando.experiments.page import page
-from glissando.experiments.runner import left_to_us
+from glissando.experiments.runner import ignoring_interrupts
 from glissando.experiments.scenes import PAPER_RATE, ROBOT, Scene, Trial, trial
 from glissando.experiments.studies import Studies
 from glissando.io.atomic_file import write_text
@@ -52,7 +52,7 @@ def reproduce(
     began = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
     film = get_context("spawn").Process(target=_animate, args=(folder, quick), daemon=True)
-    with left_to_us():
+    with ignoring_interrupts():
         film.start()  # beside the trials, as its frames are drawn by one core
     progress("confidence along the body", 0, 2)
     confidence, trials = confidence_at_coil(quick)

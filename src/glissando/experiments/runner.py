@@ -139,7 +139,7 @@ def cluster(address: str | None = None, workers: int | None = None) -> Iterator[
             # 50: of logging's levels the one that nothing reaches; errors are in the rows
             # Dask's statistical profiler would cost a tenth of a trial's time
             unwatched = dask.config.set({"distributed.worker.profile.enabled": False})
-            with left_to_us(), unwatched:
+            with ignoring_interrupts(), unwatched:
                 local = LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
@@ -162,7 +162,7 @@ def cluster(address: str | None = None, workers: int | None = None) -> Iterator[
 
 
 @contextmanager
-def left_to_us() -> Iterator[None]:
+def ignoring_interrupts() -> Iterator[None]:
     """Let processes that begin inside ignore Ctrl-C: this one hears it, and ends them."""
     if threading.current_thread() is not threading.main_thread():
         yield

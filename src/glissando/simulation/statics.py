@@ -75,7 +75,7 @@ def settle(
     with one_thread():
         while True:
             problem = equilibrium(mesh)
-            strain = problem.load_up(guess)
+            strain = problem.loaded_strain(guess)
             smooth = given or mesh.unresolved(strain) < _SMOOTH
             if smooth or np.diff(mesh.edges).max() < rod.length / _FINEST:
                 return problem.shape(strain)
@@ -106,12 +106,12 @@ class Equilibrium:
         """The equilibrium of a rod on a mesh with an edge at every tendon's end and load."""
         cables = np.zeros((len(tendons), 4))
         cables[:, 0], cables[:, 3] = loads.tensions, [tendon.friction for tendon in tendons]
-        sites = off_base([site(mesh, wrench) for wrench in loads.wrenches])
+        sites = beyond_base([site(mesh, wrench) for wrench in loads.wrenches])
         gravity = np.asarray(loads.gravity, dtype=float)
         instant = AppliedLoads(rod.base, gravity, cables, sites)
         return Equilibrium(RodEquations.of(rod, tendons, mesh), instant)
 
-    def load_up(self, guess: Array | None) -> Array:
+    def loaded_strain(self, guess: Array | None) -> Array:
         """Strain (G, 6) under the whole load, which is put on bit by bit if it must be."""
         warm = None if guess is None else self._newton(guess, 1.0)
         if warm is not None:
@@ -216,7 +216,7 @@ def site(mesh: Mesh, wrench: Wrench) -> Array:
     return row
 
 
-def off_base(rows: Sequence[Array]) -> Array:
+def beyond_base(rows: Sequence[Array]) -> Array:
     """Those of the rows (12,) of loads (E, 12) that act beyond the base, which holds the others."""
     sites = np.reshape(rows, (-1, 12))
     return sites[sites[:, 0] >= 0.0]

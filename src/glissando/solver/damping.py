@@ -74,7 +74,7 @@ class Damping:
         self._rescues = _MOST_RESCUES if determined else 0
 
     @property
-    def in_vain(self) -> bool:
+    def exhausted(self) -> bool:
         """Whether steps are damped to nothing and the cost still does not fall."""
         return self._value > _MOST
 

@@ -246,7 +246,7 @@ class _Iteration:
             settled |= self._steps.stall(self._here.cost_of(self._here))
         if settled:
             return Outcome.CONVERGED
-        if self._damping.in_vain:
+        if self._damping.exhausted:
             return Outcome.NO_DESCENT
         return Outcome.ITERATION_LIMIT if self._count >= self._options.max_iterations else None
 

@@ -72,7 +72,7 @@ def _bent(prior: Prior, here: NormalEquations, step: Array) -> Where:
     """Where a step leads on which poses follow from the strains."""
     of_nodes, of_parameters = here.split(step)
     located = here.located.moved(of_parameters)
-    return prior.bent(located.grid, here.state, of_nodes), located
+    return prior.retract_strains(located.grid, here.state, of_nodes), located
 
 
 def try_step(

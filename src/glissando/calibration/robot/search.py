@@ -24,7 +24,7 @@ from glissando.calibration.robot.average_information import Change
 from glissando.calibration.robot.hyperparameters import Document, Parameter, moved
 from glissando.calibration.robot.objective import Centre, Objective
 from glissando.calibration.robot.predictive import Score
-from glissando.calibration.robot.workers import changes_beside, score_beside
+from glissando.calibration.robot.workers import nearby_changes, nearby_score
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 
@@ -117,7 +117,7 @@ class Search:
     def _by_samples(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
         """Slope (P,) and expected curvature (P, P) by the samples of truth."""
         documents, scores = self._moved(fisher_information.NUDGE), list[Score | None]()
-        for score in self.pool.map(score_beside, [self.centre] * len(documents), documents):
+        for score in self.pool.map(nearby_score, [self.centre] * len(documents), documents):
             scores.append(score)
             tell(len(scores) / (len(documents) + 1))
         centre, *beside = scores
@@ -135,7 +135,7 @@ class Search:
         nudged = list(zip(*(self._moved(h)[1:] for h in (far, fine, -fine)), strict=True))
         parts = [nudged[i :: self.processes] for i in range(min(self.processes, len(nudged)))]
         changes: list[Change | None] = [None] * len(nudged)
-        call = partial(changes_beside, self.centre, here)
+        call = partial(nearby_changes, self.centre, here)
         for i, part in enumerate(self.pool.map(call, parts)):
             changes[i :: self.processes] = part
             tell((i + 1) / (len(parts) + 1))

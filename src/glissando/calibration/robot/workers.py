@@ -55,7 +55,7 @@ def workers(objective: Objective, count: int) -> Iterator[ProcessPoolExecutor]:
                 ) from None
 
 
-def score_beside(about: Centre, document: Document) -> Score | None:
+def nearby_score(about: Centre, document: Document) -> Score | None:
     """Score of a robot file about another one, in a worker; None if it cannot be estimated."""
     assert _objective is not None
     try:
@@ -65,7 +65,7 @@ def score_beside(about: Centre, document: Document) -> Score | None:
     return score if np.isfinite(score.value) else None
 
 
-def changes_beside(
+def nearby_changes(
     about: Centre, document: Document, beside: Sequence[tuple[Document, ...]]
 ) -> list[Change | None]:
     """What changes from one robot file to others, in a worker; None where there is no estimate.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glissando.evaluation.plausibility.corrections import signed_axes
 from glissando.evaluation.plausibility.finding import Finding
-from glissando.evaluation.plausibility.session import Streams, sight
+from glissando.evaluation.plausibility.session import Streams, poses_at
 from glissando.geometry.se3 import Array
 from glissando.model.evenly import evenly_chosen
 from glissando.model.sensors.accelerometer import AccelerometerReadings
@@ -66,7 +66,7 @@ def _turned(streams: Streams, r: AccelerometerReadings, weight: float) -> list[F
     place = float(np.median(r.arclength))
     force = np.einsum("...ij,...j->...i", r.mount[..., :3, :3], r.values / weight)
     for body in streams.tracked:
-        where, pose, shown = sight(body, r.time)
+        where, pose, shown = poses_at(body, r.time)
         near = np.abs(where - place) < _NEAR * streams.robot.length
         axes = shown[:, 1:] * near[:, None] > 0.0
         if axes[:, 2].sum() < _FEWEST:

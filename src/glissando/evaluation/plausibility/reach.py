@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from glissando.evaluation.plausibility.finding import Finding
 from glissando.evaluation.plausibility.session import Streams, as_poses, weights
-from glissando.evaluation.plausibility.shape import stretch
+from glissando.evaluation.plausibility.shape import largest_extension
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot
@@ -85,7 +85,7 @@ def out_of_reach(robot: Robot, r: Readings) -> NDArray[np.bool_]:
     for p in robot.sensor_parameters:
         if p.kind == "frame" and r.name in p.streams:
             slack += 3.0 * float(np.linalg.norm(p.std[:3]) + robot.length * p.std[3:].max())
-    reach = r.arclength * (1.0 + 3.0 * stretch(robot)) + slack
+    reach = r.arclength * (1.0 + 3.0 * largest_extension(robot)) + slack
     beyond = ~(distance_from_base(robot, r) <= reach)
     return beyond if beyond.mean() <= _FEW else none
 

@@ -55,11 +55,11 @@ class Streams:
         if not first < last:
             first, last = spans[:, 0].min(), spans[:, 1].max()
         time = np.linspace(first, last, count + 2)[1:-1]
-        seen = [sight(r, time) for r in tracked]
+        seen = [poses_at(r, time) for r in tracked]
         return time, TrackedPoses(*(np.stack(part, axis=1) for part in zip(*seen, strict=True)))
 
 
-def sight(r: Readings, time: Array) -> tuple[Array, Array, Array]:
+def poses_at(r: Readings, time: Array) -> tuple[Array, Array, Array]:
     """Places (B,), poses (B, 4, 4) of the cross-section and weights (B, 4) of a stream at times.
 
     Between two readings poses are interpolated; where none is near, weights are zero.

@@ -78,7 +78,7 @@ class Rod:
         self.base = rest.pose[0, 0]
         knots = np.linspace(0.0, robot.length, _KNOTS)
         self.blend = np.stack([np.interp(middle, knots, row) for row in np.eye(_KNOTS)], axis=-1)
-        self.information = self._information(knots, stretch(robot))
+        self.information = self._information(knots, largest_extension(robot))
         std = _BASE * np.repeat([robot.length, 1.0], 3)
         if free_base or not robot.prior.fixes_base:
             std = np.repeat([10.0 * robot.length, 10.0], 3)
@@ -195,7 +195,7 @@ class Rod:
         )
 
 
-def stretch(robot: Robot) -> float:
+def largest_extension(robot: Robot) -> float:
     """How far the robot's prior lets it stretch, as a strain from 0.02 to 0.5."""
     psd = getattr(robot.prior, "psd_strain_arclength", None)
     if psd is None:

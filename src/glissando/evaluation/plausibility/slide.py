@@ -10,7 +10,7 @@ import numpy as np
 from glissando.evaluation.plausibility.corrections import reordered, signed_axes
 from glissando.evaluation.plausibility.finding import Finding
 from glissando.evaluation.plausibility.session import Streams, as_poses, weights
-from glissando.evaluation.plausibility.shape import stretch
+from glissando.evaluation.plausibility.shape import largest_extension
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
@@ -102,7 +102,7 @@ def _unmoved(r: Readings, streams: Streams) -> Finding | None:
     energy = np.mean(body**2, axis=0)
     if span[2] < _FAR * streams.robot.length or energy[2] < _AXIAL * energy.sum():
         return None
-    if 2.0 * stretch(streams.robot) * streams.robot.length > span[2]:
+    if 2.0 * largest_extension(streams.robot) * streams.robot.length > span[2]:
         return None
     return Finding(
         "slide",

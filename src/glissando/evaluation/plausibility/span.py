@@ -9,7 +9,7 @@ import numpy as np
 
 from glissando.evaluation.plausibility.finding import Finding, listed
 from glissando.evaluation.plausibility.session import Streams
-from glissando.evaluation.plausibility.shape import stretch
+from glissando.evaluation.plausibility.shape import largest_extension
 from glissando.geometry.se3 import Array
 
 _APART = 0.1, 0.36  # of the robot's length: pairs so far apart bend one way at least
@@ -53,7 +53,7 @@ def check_span(streams: Streams) -> Iterator[Finding]:
         return
     stretches.sort(key=lambda each: each[0])
     ratio, one, other = stretches[len(stretches) // 2]
-    if abs(ratio - 1.0) < _OFF + _STRETCHES * stretch(robot):
+    if abs(ratio - 1.0) < _OFF + _STRETCHES * largest_extension(robot):
         return
     names = tuple(dict.fromkeys(r.label for _, *pair in stretches for r in pair))
     stated = abs(float(other.arclength[0] - one.arclength[0]))

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from glissando.errors import SimulationError
-from glissando.hardware.simulated_devices.aurora_device import Device, Nature, Sensing
+from glissando.hardware.simulated_devices.aurora_device import Device, DeviceIdentity, Sensing
 from glissando.hardware.simulated_devices.faults import AuroraFaults, FaultDraws, parse_faults
 from glissando.hardware.simulated_devices.scene import Scene
 from glissando.hardware.simulated_devices.serving import (
@@ -51,7 +51,7 @@ def _serve(options: argparse.Namespace) -> None:
     faults = parse_faults(AuroraFaults, options.faults)
     born = time.monotonic()
     epoch = born if options.epoch is None else options.epoch
-    nature = Nature(born, options.rate, options.firmware, options.wired)
+    nature = DeviceIdentity(born, options.rate, options.firmware, options.wired)
     travel = None if options.travel is None else Travel(options.travel)
     sensing = Sensing(scene, travel, born, epoch, options.rate)
     if scene.coils:

@@ -45,7 +45,7 @@ _PORT_COMMANDS = {
 
 
 @dataclass(frozen=True)
-class Nature:
+class DeviceIdentity:
     """What a device is.
 
     Attributes:
@@ -97,7 +97,7 @@ class Sensing:
 class Device:
     """The device's state machine. Times are of time.monotonic()."""
 
-    def __init__(self, scene: Scene, sensing: Sensing, dice: FaultDraws, nature: Nature):
+    def __init__(self, scene: Scene, sensing: Sensing, dice: FaultDraws, nature: DeviceIdentity):
         self._sensing, self._dice, self._nature = sensing, dice, nature
         faults = dice.faults
         without = {int(faults.srom), int(faults.bad_srom)}

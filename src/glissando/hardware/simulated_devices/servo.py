@@ -74,10 +74,10 @@ class Line:
                 self.servo.fail(OVERLOAD, now)
             if self.sent == self.faults.restart:
                 self.servo.restart(now)
-            answers.append(self.spoil(packet, now))
+            answers.append(self.corrupted(packet, now))
         return answers
 
-    def spoil(self, packet: bytes, now: float) -> tuple[float, bytes]:
+    def corrupted(self, packet: bytes, now: float) -> tuple[float, bytes]:
         """When the next status packet arrives, and what is left of it."""
         faults, dice, number = self.faults, self._dice, self.sent
         self.sent += 1

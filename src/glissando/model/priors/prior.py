@@ -63,7 +63,7 @@ class Prior(Protocol):
         """
         ...
 
-    def softened(self) -> Self:
+    def with_soft_shear(self) -> Self:
         """The prior with soft shear and extension, a start for this one; itself if not stiff."""
         ...
 
@@ -71,7 +71,7 @@ class Prior(Protocol):
         """The robot at rest on the grid, from which an estimate starts."""
         ...
 
-    def bent(self, grid: Grid, state: State, step: Array) -> State:
+    def retract_strains(self, grid: Grid, state: State, step: Array) -> State:
         """The state moved by `step` (K, N, dof) so that poses still follow from the strains."""
         ...
 
@@ -111,12 +111,12 @@ def soften(psd: Array) -> Array:
     return np.concatenate([np.maximum(psd[..., :3], _SOFT * bending), psd[..., 3:]], axis=-1)
 
 
-def is_soft(psd: Array, softened: Array) -> bool:
+def is_soft(psd: Array, soft: Array) -> bool:
     """Whether softening changed so little that a start of its own would not pay."""
-    return bool(np.all(softened <= _STIFF * psd))
+    return bool(np.all(soft <= _STIFF * psd))
 
 
-def alike_across(*densities: Array) -> bool:
+def transversely_isotropic(*densities: Array) -> bool:
     """Whether densities (…, 6) are the same across the body's z in every direction."""
     return all(np.array_equal(each[..., ::3], each[..., 1::3]) for each in densities)
 

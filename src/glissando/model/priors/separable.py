@@ -27,7 +27,13 @@ from glissando.model.priors.intervals import (
     interval_error,
     place_error,
 )
-from glissando.model.priors.prior import alike_across, by_interval, interval_strain, is_soft, soften
+from glissando.model.priors.prior import (
+    by_interval,
+    interval_strain,
+    is_soft,
+    soften,
+    transversely_isotropic,
+)
 from glissando.model.priors.prior_table import (
     read_rest,
     read_segments,
@@ -139,7 +145,7 @@ class SeparablePrior:
         """The least time between time nodes, s, at which information keeps its digits."""
         return least_step(self.time_scale)
 
-    def softened(self) -> SeparablePrior:
+    def with_soft_shear(self) -> SeparablePrior:
         """The prior with shear and extension as soft as bending over 2 cm, or itself if not far."""
         psd = soften(self.psd_strain_arclength)
         if is_soft(self.psd_strain_arclength, psd):
@@ -165,7 +171,7 @@ class SeparablePrior:
         strain = np.broadcast_to(rest.at(grid.arclength), still.shape)
         return State(pose.copy(), strain.copy(), still, still.copy())
 
-    def bent(self, grid: Grid, state: State, step: Array) -> State:
+    def retract_strains(self, grid: Grid, state: State, step: Array) -> State:
         """The state moved by `step` (K, N, 24) interval by interval from the base outwards.
 
         The errors of intervals move as the step says to first order, so poses and strains stay
@@ -209,7 +215,7 @@ class SeparablePrior:
         error[..., :12] -= self.rest.interval_errors(grid.arclength)
         about = noise_state.take(touched)
         cov = self._interval_covariances(grid, about)[1]
-        alike = alike_across(self.psd_strain_arclength, self.jumps)
+        alike = transversely_isotropic(self.psd_strain_arclength, self.jumps)
         angle = ends[0].rolls_from(about.take(np.s_[:, :-1])) if alike else None
         yield from chain_factors(
             self.time_scale,
@@ -287,7 +293,9 @@ class SeparablePrior:
         at, *jacobians = interval_between(start, end, *within)
         return at, np.stack(jacobians, axis=2)
 
-    def crossing(self, grid: Grid, noise_state: State, k: Index, s: Cells) -> tuple[Array, Array]:
+    def arclength_bridge(
+        self, grid: Grid, noise_state: State, k: Index, s: Cells
+    ) -> tuple[Array, Array]:
         """Gain and covariance (M, 12, 12) inside the intervals `s` at time nodes k."""
         psd, jump = (values[s.lower] for values in self._intervals(grid))
         ends = noise_state.strain[k, s.lower], noise_state.strain[k, s.lower + 1]

@@ -11,7 +11,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid
-from glissando.model.priors.prior import alike_across
+from glissando.model.priors.prior import transversely_isotropic
 from glissando.model.priors.rest_shape import RestShape
 from glissando.model.priors.steps import static_steps
 from glissando.model.state import State
@@ -49,7 +49,7 @@ def static_factors(
         error, jacobian, whitener = static_steps(state.flatten(), nodes, step, psd, jump)
         error = error - np.tile(rest.interval_errors(grid.arclength), (count, 1))
         terms = Residuals(error, whitener)
-        if alike_across(*intervals):
+        if transversely_isotropic(*intervals):
             near = np.sum(terms.whiten(error) ** 2, axis=1) < _FAR  # farther off, steps overshoot
             slopes = jacobian[near]
             rolls.turn_all_back(np.zeros(len(slopes)), error[near], slopes)  # (35)

@@ -38,7 +38,9 @@ class StationaryPrior(Protocol):
         """Time scale ℓ, s."""
         ...
 
-    def crossing(self, grid: Grid, noise_state: State, k: Index, s: Cells) -> tuple[Array, Array]:
+    def arclength_bridge(
+        self, grid: Grid, noise_state: State, k: Index, s: Cells
+    ) -> tuple[Array, Array]:
         """Gain and covariance (M, 12, 12) inside the intervals `s` at time nodes k."""
         ...
 
@@ -146,12 +148,14 @@ def interpolate_process(
     ends = np.concatenate([k, k + 1][:both])
     every = np.tile(np.arange(m), both)
     across = s.take(every)
-    crossing = prior.crossing(grid, noise_state, ends, across) if points.inside_arclength else None
-    gain = None if crossing is None else crossing[0]
+    bridge = None
+    if points.inside_arclength:
+        bridge = prior.arclength_bridge(grid, noise_state, ends, across)
+    gain = None if bridge is None else bridge[0]
     at, nodes, jacobian = _at_time_nodes(prior, grid, state, ends, n[every], across, gain)
     if not points.inside_time:
         at, jacobian = replace(at, strain_rate=None), jacobian[:, :DOF]
-        if crossing is None:  # on nodes
+        if bridge is None:  # on nodes
             return Interpolation(at, nodes, jacobian, np.zeros((m, DOF, DOF)))
     else:
         pose, strain, velocity, jacobian, by_time = kernels.between(
@@ -164,8 +168,8 @@ def interpolate_process(
         parts, along = [(prior.time_scale, np.zeros((12, 12)))], np.zeros((12, 12))
         if points.inside_time:
             parts = prior.sections(grid, noise_state, k, n, s, points.inside_arclength)
-        if crossing is not None:
-            early, late = crossing[1][:m], crossing[1][-m:]
+        if bridge is not None:
+            early, late = bridge[1][:m], bridge[1][-m:]
             along = early + t.share[:, None, None] * (late - early)
         cov, through = np.zeros((m, DOF, DOF)), by_time
         for i, (scale, section) in enumerate(parts):

@@ -158,7 +158,7 @@ class WhiteNoisePrior:
         psd += 0.0 if self.base is None else np.max(self.base.strain[3:])
         return float(2.0 * psd * (length / _WOUND) ** 2)
 
-    def softened(self) -> WhiteNoisePrior:
+    def with_soft_shear(self) -> WhiteNoisePrior:
         """The prior with shear and extension as soft as bending over 2 cm, or itself if not far.
 
         Its estimates bend easily, which makes them a start for the stiffer one.
@@ -176,7 +176,7 @@ class WhiteNoisePrior:
         """The robot at rest on the grid, from which an estimate starts."""
         return rest_state(grid, self.base_pose, self.rest_strain)
 
-    def bent(self, grid: Grid, state: State, step: Array) -> State:
+    def retract_strains(self, grid: Grid, state: State, step: Array) -> State:
         """The state moved by `step` (K, N, 18), with poses that follow from the strains."""
         moved = state.retract(step)
         lengths = np.diff(grid.arclength)

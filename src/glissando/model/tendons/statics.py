@@ -64,11 +64,11 @@ class Equilibrium:
 
     def strain_by_displacement(self) -> Array:
         """∂strain/∂displacement (M, P, 6, T), displacements being the inputs."""
-        by_stretch = self.yielding * self.slope[:, None]
+        by_stretch = self.pull_response * self.slope[:, None]
         return self._rubbing(-self.compliance @ (self.pull @ by_stretch[:, None]), self.slope)
 
     @cached_property
-    def yielding(self) -> Array:
+    def pull_response(self) -> Array:
         """∂tension/∂(what a tendon would pull with) (M, T, T), as the rod and tendons yield."""
         m, t = self.slope.shape
         weighted = (self.rod.length[:, None] * self.reach).reshape(m, t, -1)
@@ -113,7 +113,7 @@ class Equilibrium:
             return free
         weighted = (self.rod.length[:, None] * self.reach).reshape(*slope.shape, -1)
         short = weighted @ free.reshape(*free.shape[:-3], -1, free.shape[-1])
-        back = self.yielding @ (slope[..., None] * short)
+        back = self.pull_response @ (slope[..., None] * short)
         return np.asarray(free - self.compliance @ (self.pull @ back[..., None, :, :]))
 
     def _rubbing(self, slope: Array, stiffness: Array) -> Array:
@@ -143,7 +143,7 @@ class Equilibrium:
         m, count = self.strain.shape[:2]
         each = np.eye(6 * count).reshape(count, 6, 6 * count)
         each = np.broadcast_to(each, (m, *each.shape))
-        by_tension = -self.compliance @ (self.pull @ self.yielding[:, None])
+        by_tension = -self.compliance @ (self.pull @ self.pull_response[:, None])
         return (
             -self._rubbing(self.strain_by(each, self.slope), self.slope),
             self._rubbing(by_tension, self.slope),
@@ -167,18 +167,18 @@ class Equilibrium:
             aside[:, piece, :2, 2 * piece : 2 * piece + 2] = np.diag(by_lever[piece])
         return self.pose_by(np.concatenate([mean, aside], axis=-1))
 
-    def cov(self, unsettled: Array | float = 0.0) -> Array:
+    def cov(self, in_play: Array | float = 0.0) -> Array:
         """Covariance (M, P+1, 12, 12) of poses and strains that [tendons] and [base] state.
 
         Displacements differ from the commands, moments are missing along the robot, and the base
         stands about its pose. The strain of a node is that of the piece before it.
 
         Args:
-            unsettled: Standard deviations (M, T) by which displacements are off besides, m.
+            in_play: Standard deviations (M, T) by which displacements are off besides, m.
         """
         tendons, (m, count) = self.rod.tendons, self.strain.shape[:2]
         root = np.sqrt(tendons.psd_moment)
-        off = np.atleast_2d(np.hypot(tendons.std, unsettled))[:, None, None]
+        off = np.atleast_2d(np.hypot(tendons.std, in_play))[:, None, None]
         by_pull = off * self.strain_by_displacement()
         by_moment = root * self._mean_by_moment
         by_base = [np.broadcast_to(np.diag(np.sqrt(self.rod.var_base)), (m, 6, 6))]

@@ -113,7 +113,7 @@ class Tendons:
         """
         return self._played(displacement)[0]
 
-    def unsettled(self, displacement: Array) -> Array:
+    def std_in_play(self, displacement: Array) -> Array:
         """Standard deviations (M, T) of those: of where in its play each tendon was at first."""
         return self._played(displacement)[1]
 

@@ -49,13 +49,13 @@ def channel_lengths(channel: Channel, nodes: Array, strain: Array) -> tuple[Arra
     """
     fine = np.linspace(nodes[:-1], nodes[1:], _STEPS, endpoint=False, axis=-1).ravel()
     fine = np.append(fine, nodes[-1])
-    tangent = channel.tangent(fine, hats(nodes, fine) @ strain)
+    tangent = channel.tangent(fine, hat_functions(nodes, fine) @ strain)
     speed = np.linalg.norm(tangent, axis=-1)
     steps = 0.5 * (speed[..., 1:] + speed[..., :-1]) * np.diff(fine)
     lengths = np.concatenate([np.zeros_like(speed[..., :1]), np.cumsum(steps, axis=-1)], axis=-1)
     return fine, tangent, lengths
 
 
-def hats(nodes: Array, arclength: Array) -> Array:
+def hat_functions(nodes: Array, arclength: Array) -> Array:
     """Matrix (P, N) from values at nodes (N,) to those of their line at arclengths (P,)."""
     return np.stack([np.interp(arclength, nodes, row) for row in np.eye(nodes.size)], axis=-1)

@@ -13,7 +13,7 @@ from glissando.geometry.se3 import Array
 from glissando.simulation.dynamics.base_motion import BaseMotion
 from glissando.simulation.rod import Wrench
 from glissando.simulation.rod_equations import AppliedLoads, RodEquations
-from glissando.simulation.statics import off_base, site
+from glissando.simulation.statics import beyond_base, site
 
 _EVER = float("inf")
 
@@ -185,7 +185,7 @@ class ScenarioLoads:
             np.ascontiguousarray(base),
             np.asarray(scenario.gravity, dtype=float),
             self._cables(time),
-            off_base(sites),
+            beyond_base(sites),
             np.reshape(planes, (-1, 9)),
             rates,
         )

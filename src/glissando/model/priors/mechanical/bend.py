@@ -18,7 +18,7 @@ _STATIC = slice(0, STATIC_DOF)
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def bent(
+def retract_strains(
     pieces: Sequence[Intervals],
     tip_error: Callable[[State], tuple[Array, Array]],
     state: State,

@@ -25,7 +25,7 @@ from glissando.model.mechanics import Mechanics
 from glissando.model.noise import sqrt_information
 from glissando.model.priors.intervals import RATED
 from glissando.model.priors.mechanical.beam_modes import beam_modes
-from glissando.model.priors.mechanical.bend import bent
+from glissando.model.priors.mechanical.bend import retract_strains
 from glissando.model.priors.mechanical.ends import RodEnds
 from glissando.model.priors.mechanical.inertia import Inertia, ModalMotion
 from glissando.model.priors.mechanical.intervals import (
@@ -157,7 +157,7 @@ class MechanicalPrior:
         """The least time between time nodes, s, at which information keeps its digits."""
         return least_step(self.time_scale)
 
-    def softened(self) -> MechanicalPrior:
+    def with_soft_shear(self) -> MechanicalPrior:
         """The prior of a rod that moments bend as they like, without forces, soft in shear.
 
         Its shapes follow the readings as a strain prior's do, and the moments follow the shapes: a
@@ -209,7 +209,7 @@ class MechanicalPrior:
         more = [still.copy()] if self.inertia is not None else []
         return State(pose, np.broadcast_to(strain, still.shape).copy(), still, still.copy(), *more)
 
-    def bent(self, grid: Grid, state: State, step: Array) -> State:
+    def retract_strains(self, grid: Grid, state: State, step: Array) -> State:
         """The state moved by `step` (K, N, dof) interval by interval from the base outwards.
 
         With inertia it goes straight: accelerations and positions are tied in the world.
@@ -221,7 +221,7 @@ class MechanicalPrior:
             self.rod.pick(grid, times, np.full(times.size, n))
             for n in range(grid.arclength.size - 1)
         ]
-        return bent(pieces, partial(self.rod.tip_error, grid), state, step)
+        return retract_strains(pieces, partial(self.rod.tip_error, grid), state, step)
 
     def factors(
         self, grid: Grid, state: State, noise_state: State, times: slice
@@ -302,7 +302,9 @@ class MechanicalPrior:
         motion = self._motion(grid.arclength)
         return modal_acceleration(motion, grid, state, at, arclength, time)
 
-    def crossing(self, grid: Grid, noise_state: State, k: Index, s: Cells) -> tuple[Array, Array]:
+    def arclength_bridge(
+        self, grid: Grid, noise_state: State, k: Index, s: Cells
+    ) -> tuple[Array, Array]:
         """Gain and covariance (M, 12, 12) inside the intervals `s` at time nodes k."""
         start = noise_state.take((k, s.lower))
         return bridge(start, self.rod.pick(grid, k, s.lower), s.offset)

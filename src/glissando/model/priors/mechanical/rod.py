@@ -13,7 +13,7 @@ from glissando.model.grid import SAME, Grid, Index
 from glissando.model.mechanics import Mechanics
 from glissando.model.priors.mechanical.flow import Section
 from glissando.model.priors.mechanical.intervals import Intervals
-from glissando.model.priors.mechanical.tip import pushed, tip_error
+from glissando.model.priors.mechanical.tip import tip_error, with_tool_inertia
 from glissando.model.priors.rest_shape import RestShape
 from glissando.model.state import State
 
@@ -132,4 +132,4 @@ class LoadedRod:
         if shape is not None and mechanics.gravity.ndim == 2:
             mechanics = replace(mechanics, gravity=mechanics.gravity[shape])
         error = tip_error(mechanics, self.rest.at(grid.arclength[-1:])[0], at)
-        return error if at.inertia is None else pushed(mechanics, at, *error)
+        return error if at.inertia is None else with_tool_inertia(mechanics, at, *error)

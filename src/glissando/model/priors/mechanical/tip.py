@@ -36,7 +36,9 @@ def tip_error(mechanics: Mechanics, rest: Array, at: State) -> tuple[Array, Arra
     return error, jacobian
 
 
-def pushed(mechanics: Mechanics, at: State, error: Array, jacobian: Array) -> tuple[Array, Array]:
+def with_tool_inertia(
+    mechanics: Mechanics, at: State, error: Array, jacobian: Array
+) -> tuple[Array, Array]:
     """Error and Jacobian (…, 12, 30) of a tip whose tool resists acceleration. Source: (32).
 
     The tool counts as a point where the tip is.
