@@ -66,6 +66,13 @@ class Drawn:
         return []
 
 
+class Long(Drawn):
+    """The same on 200 time nodes, where the covariance of the states is rounded by more."""
+
+    def grid(self, robot):
+        return uniform_grid(robot.length, 3, 0.0, 50.0, 4.0)
+
+
 def both_nudged(document, numbers):
     """The robot file with each number moved a little, and much less to both sides."""
     steps, ways = (NUDGE, FINE, -FINE), np.eye(len(numbers))
@@ -100,6 +107,17 @@ def test_slopes_are_zero_on_average_and_information_is_their_mean_product():
     np.testing.assert_allclose(
         white.T @ white / len(white), expected / np.outer(scale, scale), atol=0.5
     )
+
+
+def test_numbers_on_which_nothing_depends_have_no_slope():
+    document = drawn_robot()
+    robot, blank = parsed(document), Drawn()
+    world = PriorPredictive(robot, blank.grid(robot), blank.layout(robot))
+    cases = [Long(tuple(world.draw(np.random.default_rng(1)).readings))]
+    goal = Objective(cases, calibrate=False)
+    evidence = EvidenceAt(cases, document, goal.score(document, goal.start()).starts)
+    change = evidence.change(document, document, document)
+    assert (change.misfit, change.width, change.shift) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
 
 
 @pytest.mark.parametrize("off", [-1.5, -0.3, 0.3, 1.5])

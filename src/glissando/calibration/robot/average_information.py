@@ -146,7 +146,7 @@ class _Linearized:
         self._known = self._cholesky.marginals()
         self._terms, self._rhs = here.terms, here.rhs
         self._left_to_go = self._cholesky.solve(here.rhs)
-        self._misfit, self._width = _cost(here), 0.5 * (here.log_det_noise + here.rhs.size)
+        self._misfit, self._width = _cost(here), self._width_of(here)
 
     def _located(self, robot: Robot) -> LocatedReadings:
         """The readings where the estimate puts them."""
@@ -157,14 +157,22 @@ class _Linearized:
         located = locate(grid, placed, robot.sensor_parameters)
         return with_parameters(located, self._start.sensor_parameters)
 
+    def _width_of(self, at: NormalEquations) -> float:
+        """½ (log det R + tr(P A)), with P as it was when linearised.
+
+        There tr(P A) is the number of states but for rounding, which a nudge would magnify: so it
+        is summed there as well.
+        """
+        trace = np.vdot(at.system.diagonal, self._known.cov)
+        trace += 2.0 * np.vdot(at.system.lower, self._known.cross.swapaxes(1, 2))
+        return float(0.5 * (at.log_det_noise + trace))
+
     def change(self, robot: Robot, nudge: float) -> Change:
         """What changes to another robot, by one unit of its `nudge`."""
         problem = robot.prior, self._located(robot), self._state, self._state, self._memory
-        there, know = linearize(*problem), self._known
-        trace = np.vdot(there.system.diagonal, know.cov)
-        trace += 2.0 * np.vdot(there.system.lower, know.cross.swapaxes(1, 2))
+        there = linearize(*problem)
         further = np.vdot(self._left_to_go, there.rhs - self._rhs)
-        width = float(0.5 * (there.log_det_noise + trace) - self._width) / nudge
+        width = (self._width_of(there) - self._width) / nudge
         means, held = _shifted(self._terms, there.terms) / nudge, self._rhs
         misfit = float(_cost(there) - further - self._misfit) / nudge
         if means.any():
