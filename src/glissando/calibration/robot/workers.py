@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import pickle
+import signal
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +27,23 @@ _objective: Objective | None = None  # of a worker process
 
 def _prepare(file: Path) -> None:
     global _objective
+    _answer_interrupts(signal.SIG_IGN)  # of a terminal, while there is nothing to compute
     _objective = pickle.loads(file.read_bytes())
+
+
+def _answer_interrupts(how: Any) -> None:
+    if parent_process() is not None:  # no test that prepares its own process
+        signal.signal(signal.SIGINT, how)
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Ctrl-C ends what a worker computes inside, and reaches who waits for it as an error."""
+    _answer_interrupts(signal.default_int_handler)
+    try:
+        yield
+    finally:
+        _answer_interrupts(signal.SIG_IGN)
 
 
 @contextmanager
@@ -59,7 +77,8 @@ def nearby_score(about: Centre, document: Document) -> Score | None:
     """Score of a robot file about another one, in a worker; None if it cannot be estimated."""
     assert _objective is not None
     try:
-        score = _objective.score(document, about, beside=True).score
+        with _interruptible():
+            score = _objective.score(document, about, beside=True).score
     except (GlissandoError, np.linalg.LinAlgError):
         return None
     return score if np.isfinite(score.value) else None
@@ -77,7 +96,7 @@ def nearby_changes(
     """
     assert _objective is not None
     changes: list[Change | None] = [None] * len(beside)
-    with suppress(GlissandoError, np.linalg.LinAlgError):
+    with _interruptible(), suppress(GlissandoError, np.linalg.LinAlgError):
         evidence = EvidenceAt(_objective.cases, document, about.starts)
         for i, each in enumerate(beside):
             with suppress(GlissandoError, np.linalg.LinAlgError):
