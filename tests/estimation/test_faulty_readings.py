@@ -11,6 +11,7 @@ from glissando.errors import OutsideGridError, SensorError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.innovation_gate import InnovationGate
 from glissando.estimation.reading_buffer import ReadingBuffer
+from glissando.geometry import se3
 from glissando.model.noise import GemanMcClure
 from online import PRIORS, fed
 from scenes import LENGTH, arc, sliding_scene
@@ -53,6 +54,60 @@ def test_a_tracker_that_freezes_is_not_believed_and_one_that_states_a_fact_is():
         np.testing.assert_array_equal(now.cov, then.cov)
 
 
+def test_a_frozen_tracker_of_several_bodies_is_not_believed_either():
+    """Rows of different places stand between those of one."""
+    robot, rng = load_robot("tdcr466"), np.random.default_rng(0)
+    place = robot.length * np.array([0.5, 1.0])
+    at_rest, spread = place[:, None] * [0.0, 0.0, 1.0], []
+    for bodies in ((slice(0, 1), slice(1, 2)), (slice(0, 2),)):
+        smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+        for k in range(60):
+            if k < 30:
+                seen = at_rest + 1e-3 * rng.standard_normal((2, 3))
+            for number, body in enumerate(bodies):
+                read = {"arclength": place[body], "values": seen[body], "cov": 1e-6}
+                time = np.full(len(read["arclength"]), k / 30)
+                smoother.add(PositionReadings(time=time, name=f"body{number}", **read))
+            newest = smoother.advance(k / 30)
+        assert sum(d["repeated"] for d in smoother.dropped.values()) == 60
+        spread.append(newest.std_position[-1])
+    assert spread[1] == pytest.approx(spread[0], rel=1e-3)
+    assert spread[0] > 0.1
+
+
+def test_bodies_at_rest_that_a_stream_without_noise_reads_are_no_frozen_tracker():
+    robot = load_robot("tdcr466")
+    place = robot.length * np.array([0.5, 1.0])
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    for k in range(10):
+        values = place[:, None] * [0.0, 0.0, 1.0]
+        time = np.full(2, k / 30)
+        smoother.add(PositionReadings(time=time, arclength=place, values=values, cov=1e-6))
+        smoother.advance(k / 30)
+    assert not smoother.dropped
+
+
+@pytest.mark.parametrize("places", [(0.02, 1.0), (0.02, 0.25, 0.5, 0.75, 1.0)])
+def test_a_place_that_is_refused_for_long_is_believed_though_others_of_its_stream_fit(places):
+    """The robot bends in a step; what is read near its base fits before and after."""
+    robot, rng = load_robot("sliding700"), np.random.default_rng(1)
+    rest = robot.prior.rest_state(Grid(robot.arclength_nodes, [0.0])).pose[0, 0]
+    place = robot.length * np.array(places)
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    for k in range(150):
+        bend = 0.5 if k < 60 else 2.5
+        pose = rest @ se3.exp(place[:, None] * [0.0, 0.0, 1.0, 0.0, bend, 0.0])
+        values = pose @ se3.exp(np.sqrt(POSE_COV) * rng.standard_normal((place.size, 6)))
+        time = np.full(place.size, k / 30)
+        read = {"arclength": place, "values": values, "cov": POSE_COV, "name": "bodies"}
+        smoother.add(PoseReadings(time=time, **read))
+        newest = smoother.advance(k / 30)
+    assert smoother.dropped["bodies"]["gated"] <= 10 * place.size
+    off = np.linalg.norm(newest.position[-1] - pose[-1, :3, 3])
+    assert off < 4.0 * newest.std_position[-1] < 0.05
+    assert smoother.fits
+
+
 def test_outliers_of_a_stream_with_a_saturating_loss_are_survived_and_judged(monkeypatch):
     rng, squares = np.random.default_rng(0), []
     prior, grid, (base, coil, gyro) = sliding_scene(duration=2.0)
@@ -64,7 +119,7 @@ def test_outliers_of_a_stream_with_a_saturating_loss_are_survived_and_judged(mon
     note = InnovationGate.note
     monkeypatch.setattr(
         InnovationGate, "note",
-        lambda self, name, nis, dof: squares.extend(nis) or note(self, name, nis, dof),
+        lambda self, name, at, nis, dof: squares.extend(nis) or note(self, name, at, nis, dof),
     )  # fmt: skip
     tip = fed(smoother, grid, [base, coil, gyro])[-1].position[-1]
     assert np.linalg.norm(tip - arc(LENGTH, grid.time[-1])[:3, 3]) < 5e-3
@@ -161,8 +216,8 @@ def test_times_and_readings_that_make_no_sense_are_counted_and_nothing_breaks():
         smoother.newest()
     fed(smoother, grid, [base, coil])
     before = smoother.newest()
-    for time in (coil.time[:2], coil.time[:2] + 100.0):
-        smoother.add(replace(coil.select(slice(0, 2)), time=time))
+    for rows, later in ((slice(0, 2), 0.0), (slice(2, 4), 100.0)):
+        smoother.add(replace(coil.select(rows), time=coil.time[:2] + later))
     outside = replace(coil.select(slice(0, 1)), time=np.array([1.05]), arclength=np.array([9.0]))
     smoother.add(outside)
     back = smoother.advance(0.2)  # the clock went back

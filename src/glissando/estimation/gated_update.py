@@ -142,13 +142,13 @@ class GatedUpdate:
         """Stream, time and arclength of the new reading that fits least, if beyond belief."""
         worst, wrong = 1.0, None
         for innovations in self._window.innovations(fresh):
-            stream, nis, dof = innovations.stream, innovations.nis.tolist(), innovations.dof
+            stream, places = innovations.stream, innovations.arclength.tolist()
+            squares = innovations.nis.tolist(), innovations.dof
             if first_look:
-                self._gate.note(stream, nis, dof)
-            excess = self._gate.excess(stream, nis, dof)
+                self._gate.note(stream, places, *squares)
+            excess, at = self._gate.excess(stream, places, *squares)
             if excess > worst:
-                at = int(np.argmax(nis))
-                worst, wrong = excess, (stream, innovations.time[at], innovations.arclength[at])
+                worst, wrong = excess, (stream, innovations.time[at], places[at])
         return wrong
 
     def _refuse_all(self, streams: Sequence[Readings]) -> None:
@@ -158,5 +158,5 @@ class GatedUpdate:
 
     def _refuse(self, stream: str, time: float, arclength: float) -> None:
         """Let go of a reading, one at a time as a wrong one makes its neighbours look wrong."""
-        self._gate.strike(stream)
+        self._gate.strike(stream, arclength)
         self._buffer.discard(stream, time, arclength)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -25,13 +24,16 @@ class InnovationGate:
     """Counts readings that are refused, and judges innovations.
 
     A reading is beyond belief when its squared innovation would come by chance once in 1 / `chance`
-    times (never, if None), unless its stream has been refused for long.
+    times (never, if None), unless its stream has been refused for long; where a stream reads the
+    same places again and again, each of them counts by itself: one near the base always fits.
     """
 
     def __init__(self, chance: float | None) -> None:
         self.chance = chance
         self.dropped: dict[str, Counter[str]] = {}
-        self._strikes: Counter[str] = Counter()
+        self._strikes: Counter[tuple[str, float | None]] = Counter()
+        self._places: dict[str, list[float]] = {}  # of a stream's last readings
+        self._again: dict[str, set[float]] = {}  # those of them that were read before them, too
         self._innovations: deque[tuple[float, int]] = deque(maxlen=_REMEMBERED)
 
     def refuse(self, name: str, reason: str, rows: np.ndarray) -> np.ndarray:
@@ -40,21 +42,38 @@ class InnovationGate:
             self.dropped.setdefault(name, Counter())[reason] += int(rows.sum())
         return ~rows
 
-    def excess(self, name: str, nis: Sequence[float], dof: int) -> float:
-        """By how much the worst of squared innovations is beyond belief, 1 at the limit."""
-        if self.chance is None or self._strikes[name] >= _STRIKES:
-            return 0.0
-        return max(nis) / _beyond(self.chance, dof)
+    def excess(
+        self, name: str, arclength: list[float], nis: list[float], dof: int
+    ) -> tuple[float, int]:
+        """By how much the worst of squared innovations is beyond belief, 1 at the limit; which."""
+        if self.chance is None:
+            return 0.0, 0
+        most = max(nis)
+        if most > (limit := _beyond(self.chance, dof)) and self._strikes:
+            judged = [
+                0.0 if self._strikes[self._key(name, place)] >= _STRIKES else each
+                for place, each in zip(arclength, nis, strict=True)
+            ]
+            most, nis = max(judged), judged
+        return most / limit, nis.index(most)
 
-    def strike(self, name: str) -> None:
+    def strike(self, name: str, arclength: float) -> None:
         """A reading of the stream has been refused."""
-        self._strikes[name] += 1
+        self._strikes[self._key(name, arclength)] += 1
 
-    def note(self, name: str, nis: Sequence[float], dof: int) -> None:
+    def note(self, name: str, arclength: list[float], nis: list[float], dof: int) -> None:
         """Remember squared innovations, before any is refused."""
         self._innovations.extend((each, dof) for each in nis)
-        if self.chance is None or min(nis) <= _beyond(self.chance, dof):
-            self._strikes[name] = 0
+        self._again[name] = set(arclength).intersection(self._places.get(name, ()))
+        self._places[name] = arclength
+        if self._strikes:
+            limit = np.inf if self.chance is None else _beyond(self.chance, dof)
+            for place, each in zip(arclength, nis, strict=True):
+                if each <= limit:
+                    self._strikes.pop(self._key(name, place), None)
+
+    def _key(self, name: str, arclength: float) -> tuple[str, float | None]:
+        return name, arclength if arclength in self._again.get(name, ()) else None
 
     @property
     def nis(self) -> float | None:

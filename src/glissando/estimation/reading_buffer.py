@@ -104,22 +104,28 @@ class ReadingBuffer:
 
     def _frozen(self, readings: Readings) -> np.ndarray | None:
         """Rows whose values are those of the row before; none of a stream that never changed."""
-        values, place = readings.values, readings.arclength
-        before = self._last.get(readings.label)
-        self._last[readings.label] = values[-1:], place[-1:]
+        label, values, place, time = (
+            readings.label, readings.values, readings.arclength, readings.time,
+        )  # fmt: skip
+        before, last = self._last.get(label), time == time[-1]  # a stream may read several places
+        self._last[label] = values[last], place[last]
+        count = 0 if before is None else len(before[0])
         if before is not None:
-            if len(values) == 1 and not (values == before[0]).all():
-                self._measured.add(readings.label)
+            if len(values) == 1 == count and not (values == before[0]).all():
+                self._measured.add(label)
                 return None
             values, place = np.concatenate([before[0], values]), np.concatenate([before[1], place])
-        flat = values.reshape(len(values), -1)
-        same = (flat[1:] == flat[:-1]).all(axis=1)
-        again = readings.repeated(values, place) if same.any() else np.zeros(len(values), bool)
-        if not same.all():
-            self._measured.add(readings.label)
-        elif readings.label not in self._measured:
+        again = readings.repeated(values, place)
+        if max(count, int(last.sum())) > 1:  # places are compared with themselves
+            order = np.argsort(place, kind="stable")
+            compared = order[1:][np.diff(place[order]) == 0.0]
+        else:
+            compared = np.arange(1, len(values))
+        if not again[compared].all():
+            self._measured.add(label)
+        elif label not in self._measured:
             again[:] = False
-        return again[-len(readings) :]
+        return again[count:]
 
     def due(self, until: float) -> np.ndarray:
         """Times of readings that wait up to a time, in order."""

@@ -175,6 +175,23 @@ def test_a_clock_that_is_set_on_the_way_is_named_once_patience_ends():
             list(islice(updates, 100))
 
 
+def test_stamps_ahead_of_this_clock_are_named_though_they_are_used():
+    with LiveSession(ROBOT, [Stamped(0.3)], rate=20.0) as session:
+        said = list(islice(session, 10))[-1].problems
+    assert "s ahead of this computer's clock, so the shape is of another moment" in said[0]
+
+
+def test_readings_from_before_the_window_are_none_unless_updates_wait_for_them():
+    why, session = (
+        "before the window of 0.2 s: .* give a delay",
+        LiveSession(ROBOT, [Stamped(-0.3)], rate=20.0, patience=0.5),
+    )
+    with session, pytest.raises(DeviceError, match=why):
+        list(islice(session, 100))
+    with LiveSession(ROBOT, [Stamped(-0.3)], rate=20.0, delay=0.35) as session:
+        assert list(islice(session, 10))[-1].problems == ()
+
+
 def test_what_came_during_a_pause_of_its_reader_counts_before_patience_ends():
     with LiveSession(ROBOT, [Stamped(0.0)], rate=20.0, patience=0.3) as session:
         for _ in islice(session, 3):

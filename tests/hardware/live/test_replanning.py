@@ -27,20 +27,22 @@ ZONE = (0.645, 0.665)
 @pytest.mark.slow
 @pytest.mark.alone
 @pytest.mark.filterwarnings("ignore::glissando.errors.PlanWarning")  # on a busy machine
-def test_a_replanned_slide_brings_its_coil_into_the_zone_within_the_stages_limits(tmp_path):
+@pytest.mark.parametrize("delay", [0.0, 1.0])
+def test_a_replanned_slide_brings_its_coil_into_the_zone_within_the_stages_limits(delay, tmp_path):
+    """Also where updates wait for readings, so that shapes are of a second before."""
     with simulated_rig() as rig:
         source = RigSource(rig, ROBOT, HELD, steered=True)
         replanning = Replanning(source, rig, ROBOT, [Zone(ZONE)])
         session = LiveSession(
-            ROBOT, [source], [replanning], journal=tmp_path / "log", duration=60.0
+            ROBOT, [source], [replanning], journal=tmp_path / "log", duration=60.0, delay=delay
         )
         with session:
             for update in session:
                 places = [r.arclength[-1] for r in update.readings]
                 if places and ZONE[0] < places[-1] < ZONE[1]:
                     break
-        planned, _ = replanning.replanner.at(update.time)
-    rows = load_recording(tmp_path / "log").streams["coil"].rows
+        rows = load_recording(tmp_path / "log").streams["coil"].rows
+        planned, _ = replanning.replanner.at(rows.time[-1])
     assert rows.arclength[0] == pytest.approx(0.7, abs=1e-3)
     assert ZONE[0] < rows.arclength[-1] < ZONE[1]
     assert abs(planned - rows.arclength[-1]) < 5e-3

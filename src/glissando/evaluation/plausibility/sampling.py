@@ -16,6 +16,7 @@ _FASTEST = {True: 2.0e3, False: 4.0e4}  # Hz, of trackers and of others
 _JUMP = 30.0  # s that a clock does not skip
 _SAME = 0.1  # share of rows with the stamp of the row before
 _FROZEN = 12  # rows of one value from a sensor that is noisy otherwise
+_PLACES = 100  # of one stream that are looked at
 _UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
 
@@ -91,10 +92,22 @@ def _repeats(r: Readings) -> Iterator[Finding]:
             alike > 0.5, (r.label,), "repeats" if alike > 0.5 else "stamps",
         )  # fmt: skip
         return
-    if not r.tracker:
-        return
+    if r.tracker:
+        for body in _bodies(r):
+            yield from _frozen(body)
+
+
+def _bodies(r: Readings) -> list[Readings]:
+    """A stream, or its readings of each place where it reads several at once."""
+    if not np.any(np.diff(r.time) == 0.0):
+        return [r]
+    return [r.select(r.arclength == place) for place in np.unique(r.arclength)[:_PLACES]]
+
+
+def _frozen(r: Readings) -> Iterator[Finding]:
+    """Whether readings of one body repeat one value for long, although they are noisy."""
     changed = np.any(np.diff(r.values.reshape(len(r), -1), axis=0) != 0.0, axis=1)
-    if np.mean(changed) < 0.5:
+    if not changed.size or np.mean(changed) < 0.5:
         return
     edges = np.flatnonzero(np.append(changed, True))
     starts = np.append(0, edges[:-1] + 1)

@@ -100,7 +100,7 @@ class Replanning:
         """Have the next plan computed, and the stage follow one that is ready."""
         if update.number < _FIRST:
             return
-        now, last = update.time + update.latency, self.replanner.plan
+        now, last = update.ready, self.replanner.plan
         plan = self.replanner.next(update.smoother, now + _SETTLED)
         if plan is not None and plan is not last:
             end = plan.start + self.replanner.path_space.duration

@@ -26,6 +26,7 @@ from glissando.model.sensors.sensors import PoseReadings
 _LOOK = 0.005  # s between looks for the first reading
 _POLL = 0.02  # s between looks at what has come, while an update is waited for
 _OFF = 1.0  # s by which a source's newest reading may be off this computer's clock
+_AHEAD = 0.05  # s by which it may be ahead of it, and still be of now
 _MOST_NODES = 1000
 _NODES = 4  # in the smoother's window by default
 
@@ -97,7 +98,8 @@ class LiveSession:
         )  # fmt: skip
         self._heard = 0.0
         self._timely: set[str] = set()
-        self._off = ""
+        self._off: dict[str, str] = {}  # of sources, how their stamps are wrong
+        self._lag = nodes / rate
         self.waiting: Callable[[str], None] | None = None
 
     def __enter__(self) -> Self:
@@ -177,15 +179,25 @@ class LiveSession:
         """Note that a source has sent readings of now; refuse one that never did."""
         now = self.clock.now()  # -inf before simulated time has begun
         off = newest - now if now > -np.inf else 0.0
-        if abs(off) <= _OFF + self.delay:
-            self._heard, self._off = time.monotonic(), ""
+        if -(self.delay + self._lag) <= off <= _AHEAD:
+            self._heard = time.monotonic()
             self._timely.add(source.name)
+            self._off.pop(source.name, None)
             return
         side = "ahead of" if off > 0.0 else "behind"
-        self._off = f"{source.name}: its readings are stamped {abs(off):.3g} s {side} this computer"
+        off_by = f"{source.name}: its readings are stamped {abs(off):.3g} s {side} this computer's"
+        if abs(off) <= _OFF + self.delay:
+            if off > 0.0:
+                self._heard = time.monotonic()
+                what = "clock, so the shape is of another moment"
+            else:
+                what = f"clock, before the window of {self._lag:.3g} s: none is used; give a delay"
+            self._off[source.name] = f"{off_by} {what}"
+            return
+        self._off[source.name] = f"{off_by} clock"
         if source.name not in self._timely:
             raise ImplausibleError(
-                f"{self._off}'s clock; set both by NTP, or take readings by their arrival "
+                f"{off_by} clock; set both by NTP, or take readings by their arrival "
                 f"(clock=arrival)."
             )
 
@@ -200,16 +212,17 @@ class LiveSession:
     def _update(self, number: int, due: float, arrived: list[Readings]) -> Update:
         began = time.perf_counter()
         problems = [s.problem for s in self.sources] + [s.problem for s in self.sinks]
+        problems += self._off.values()
         try:
             newest = self.smoother.advance(due)
         except UnreachableError as problem:  # readings in another unit: the robot is at rest
             newest = self.smoother.newest()
             problems.append(str(problem))
-        computing = time.perf_counter() - began
+        computing, shape = time.perf_counter() - began, self.smoother.at(self.arclength, due)
+        ready = self.clock.now()
         update = Update(
-            number, due, self.clock.stamp(due), self.arclength,
-            self.smoother.at(self.arclength, due), newest, arrived, self.smoother,
-            self.clock.now() - self.delay - due, computing, self.skipped,
+            number, due, self.clock.stamp(due), self.arclength, shape, newest, arrived,
+            self.smoother, ready, ready - self.delay - due, computing, self.skipped,
             tuple(filter(None, problems)),
         )  # fmt: skip
         for sink in self.sinks:
@@ -231,7 +244,7 @@ class LiveSession:
 
     @property
     def _why_silent(self) -> str:
-        problems = [self._off, *(source.problem for source in self.sources)]
+        problems = [*self._off.values(), *(source.problem for source in self.sources)]
         return "; ".join(filter(None, problems)) or "no reading came"
 
 

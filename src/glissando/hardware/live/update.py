@@ -50,10 +50,11 @@ class Update:
         newest: Estimate at the robot's own nodes, as `FixedLagSmoother.advance` returns it.
         readings: Readings that came since the last update.
         smoother: The estimator, to ask for more, such as `smoother.dropped`.
+        ready: Session time at which the shape was there, s.
         latency: Seconds from when the update was due to when the shape was there.
         computing: Seconds of these that the estimate took.
         skipped: Updates so far that were left out because the machine was too slow.
-        problems: Why sources or sinks are silent, if they are.
+        problems: Why sources or sinks are silent, or stamps of another moment, if they are.
     """
 
     number: int
@@ -64,6 +65,7 @@ class Update:
     newest: StateEstimate
     readings: Sequence[Readings]
     smoother: FixedLagSmoother
+    ready: float
     latency: float
     computing: float
     skipped: int

@@ -42,12 +42,12 @@ _SHIFTS: dict[str, Callable[[Readings, Array], Readings]] = {
     "mount": _mount,
     "bias": _bias,
 }
-_MOVES: dict[str, tuple[str, Callable[[Readings], Array | float]]] = {
-    "arclength_offset": ("arclength", lambda r: 1.0),
-    "time_offset": ("time", lambda r: -1.0),
-    "slide_lag": ("arclength", lambda r: -r.slide_speed),
-    "slide_play": ("arclength", lambda r: -0.5 * r.slide_way),
-}  # what a parameter moves readings along, and by how much one unit of it
+_MOVES: dict[str, tuple[str, Callable[[Readings], Array | float], str]] = {
+    "arclength_offset": ("arclength", lambda r: 1.0, "metres"),
+    "time_offset": ("time", lambda r: -1.0, "seconds"),
+    "slide_lag": ("arclength", lambda r: -r.slide_speed, "seconds"),
+    "slide_play": ("arclength", lambda r: -0.5 * r.slide_way, "metres"),
+}  # what a parameter moves readings along, by how much one unit of it, and that unit
 SIZES = {"frame": 6, "mount": 6, "bias": 3} | dict.fromkeys(_MOVES, 1)
 """Kinds of sensor parameter and how many numbers each has."""
 
@@ -58,7 +58,7 @@ _LARGEST_VALUE: dict[str, Array | float] = {
 }
 _LARGEST_STD: dict[str, Array | float] = {
     "frame": np.repeat([2.0, np.pi], 3),
-    "mount": np.repeat([0.5, np.pi], 3),
+    "mount": np.repeat([1.0, np.pi], 3),
     "arclength_offset": 1.0,
     "time_offset": 5.0,
     "slide_lag": 5.0,
@@ -126,12 +126,14 @@ class SensorParameter:
     def _require_units(self, part: str, given: Array) -> None:
         """Raise SensorError for millimetres, degrees or milliseconds."""
         most = (_LARGEST_VALUE if part == "value" else _LARGEST_STD).get(self.kind)
-        if most is not None and np.any(np.abs(given) > most):
-            limits = np.round(np.atleast_1d(most), 2).tolist()
-            raise SensorError(
-                f"Sensor parameter {self.name!r}: {part} is {given.tolist()} for a {self.kind}; "
-                f"give metres, radians and seconds, at most {limits}."
-            )
+        if most is None or not np.any(over := np.abs(given) > most):
+            return
+        at = int(np.argmax(over))
+        way = _MOVES[self.kind][2] if self.moves else ("metres", "radians")[at // 3]
+        raise SensorError(
+            f"Sensor parameter {self.name!r}: {part} is {given.tolist()}; give {way}, of which "
+            f"{np.broadcast_to(most, given.shape)[at]:.3g} are most, in a {self.kind}."
+        )
 
     def _numbers(self, part: str) -> Array:
         given = getattr(self, part)

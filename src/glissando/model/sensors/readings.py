@@ -139,9 +139,13 @@ class Readings(ShortRepr):
 
     @classmethod
     def repeated(cls, values: Array, arclength: Array) -> NDArray[np.bool_]:
-        """Which readings (M,) of a tracker repeat the one before."""
-        same = np.all(np.diff(cls.to_columns(values), axis=0) == 0.0, axis=1)
-        return np.append(False, same)[: len(values)]
+        """Which readings (M,) of a tracker repeat the one before, or the one before at its place.
+
+        A stream may read several places at once, each of which is compared with itself.
+        """
+        columns = cls.to_columns(values)
+        same = np.all(columns[1:] == columns[:-1], axis=1)
+        return repeats_at_place(columns, arclength) | np.append(False, same)[: len(values)]
 
     @classmethod
     def values_at(cls, pose: Array, **settings: Any) -> Array:
@@ -348,3 +352,12 @@ def numerical_jacobian(readings: Readings, at: State) -> Array:
             f"residual without jumps (wrap angles with a logarithm)."
         )
     return jacobians[0]
+
+
+def repeats_at_place(columns: Array, arclength: Array) -> NDArray[np.bool_]:
+    """Which rows (M,) of columns (M, C) repeat the row before them at the same arclength (M,)."""
+    again = np.zeros(len(columns), dtype=bool)
+    order = np.argsort(arclength, kind="stable")
+    here = np.diff(arclength[order]) == 0.0
+    again[order[1:]] = here & np.all(columns[order[1:]] == columns[order[:-1]], axis=1)
+    return again

@@ -16,7 +16,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.sensors.accelerometer import AccelerometerReadings as AccelerometerReadings
 from glissando.model.sensors.compiled_readings import CompiledReadings
 from glissando.model.sensors.given_arrays import numbers
-from glissando.model.sensors.readings import SENSORS, Readings
+from glissando.model.sensors.readings import SENSORS, Readings, repeats_at_place
 from glissando.model.sensors.tendons import TendonReadings as TendonReadings
 from glissando.model.state import DOF, STRAIN, State
 
@@ -147,8 +147,7 @@ class OrientationReadings(CompiledReadings, kind="orientation"):
     @classmethod
     def repeated(cls, values: Array, arclength: Array) -> NDArray[np.bool_]:
         """Repeats at one place: a straight robot has one orientation at many places."""
-        moved = np.append(False, np.diff(arclength) != 0.0)[: len(values)]
-        return super().repeated(values, arclength) & ~moved
+        return repeats_at_place(cls.to_columns(values), arclength)
 
     @classmethod
     def values_at(cls, pose: Array, **settings: Any) -> Array:
