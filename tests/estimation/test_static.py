@@ -12,6 +12,7 @@ from glissando import (
     BaseVariance,
     CoilReadings,
     FbgReadings,
+    GemanMcClure,
     Grid,
     GyroReadings,
     Huber,
@@ -23,6 +24,7 @@ from glissando import (
     estimate,
     estimate_static,
     load_robot,
+    sample_static,
 )
 from glissando.errors import OutsideGridError, SensorError, UnobservableError
 from glissando.estimation import static as method
@@ -242,3 +244,44 @@ def test_mistakes_are_one_sentence():
         estimate_static(free, nodes, [PositionReadings(**at, values=np.zeros((2, 3)), cov=1.0)])
     with pytest.raises(OutsideGridError, match="Query"):
         estimate_static(prior, nodes, [], count=2).at(0.1, 2)
+
+
+def drawn_shapes(robot, nodes, count, places, loss=None):
+    """Shapes of a robot's prior, and poses of one stream that are read at some nodes of each."""
+    rng, std = np.random.default_rng(3), np.repeat([1e-3, 1e-2], 3)
+    truth = sample_static(robot.prior, nodes, [], size=count, rng=rng)
+    seen = truth.pose[:, places].reshape(-1, 4, 4)
+    noise = std * rng.standard_normal((len(seen), 6))
+    shape = np.repeat(np.arange(count), len(places))
+    return truth.pose[:, -1, :3, 3], PoseReadings(
+        time=shape, arclength=np.tile(nodes[places], count), name="bodies", cov=std**2,
+        values=seen @ se3.exp(noise), loss=loss,
+    )  # fmt: skip
+
+
+def test_a_loss_that_saturates_throws_no_right_reading_away():
+    """From rest it would those of every robot that is bent."""
+    robot, count = load_robot("tdcr466"), 12
+    nodes = robot.arclength_nodes
+    tips, readings = drawn_shapes(robot, nodes, count, [2, 4], GemanMcClure())
+    together = estimate_static(robot.prior, nodes, [readings])
+    assert together.converged.all()
+    off = together.at(robot.length, np.arange(count)).position - tips
+    assert np.linalg.norm(off, axis=1).max() < 0.01
+    for k, tip in enumerate(tips):
+        one = alone(robot.prior, nodes, [readings], k).at(robot.length, 0.0)
+        assert np.linalg.norm(one.position - tip) < 0.01
+
+
+def test_a_reading_that_the_others_of_its_shape_refute_is_refused_and_named():
+    robot, count, nodes = load_robot("tdcr466"), 4, np.linspace(0.0, 0.466, 13)
+    tips, right = drawn_shapes(robot, nodes, count, np.arange(1, 13))
+    values, row = right.values.copy(), 12 + 6
+    values[row, :3, 3] += [0.03, 0.0, 0.0]
+    wrong = right.changed(values=values)
+    found = estimate_static(robot.prior, nodes, [wrong])
+    assert found.refused == {"bodies": [row]}
+    assert not estimate_static(robot.prior, nodes, [right]).refused
+    off = found.at(robot.length, np.arange(count)).position - tips
+    assert np.linalg.norm(off, axis=1).max() < 5e-3
+    assert_same(found, alone(robot.prior, nodes, [wrong], 1), 1, np.array([0.05, 0.466]))

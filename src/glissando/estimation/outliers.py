@@ -148,6 +148,11 @@ def _suspects(terms: Residuals, sound: Mask) -> Mask:
     return out
 
 
+def unlikely(terms: Residuals) -> Mask:
+    """Residuals (M,) that a reading of noise as stated has once in a million times."""
+    return _size(terms) > chi_square_exceedance(_LIKELY, terms.residual.shape[1])
+
+
 def _size(terms: Residuals) -> Array:
     white = terms.whiten(terms.residual)
     return np.einsum("mr,mr->m", white, white)

@@ -15,6 +15,7 @@ from glissando.errors import UnobservableError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
+from glissando.model.noise import GemanMcClure, Huber
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
@@ -59,11 +60,32 @@ def starting_point(
             step = parameters.at(located.grid.time) - located.parameters.values
             state = _refined(rough.state, coarse.grid.time, located.grid.time)
             return state, located.moved(step), rough.iterations
-    if soft is not prior:
+    convex = with_convex_losses(located)
+    if soft is not prior or convex is not located:
         options = SolverOptions.rough(state.pose.shape[0] * state.numbers)
-        rough = minimize(soft, located, state, options, progress, clock)
-        state, located, iterations = rough.state, rough.located, rough.iterations
+        if convex is not located:
+            options = replace(options, tolerance=SolverOptions.tolerance)
+        rough = minimize(soft, convex, state, options, progress, clock)
+        step = rough.located.parameters.values - located.parameters.values
+        state, located, iterations = rough.state, located.moved(step), rough.iterations
     return state, located, iterations
+
+
+def with_convex_losses(located: LocatedReadings) -> LocatedReadings:
+    """The readings with losses that forgive nothing wholly; themselves where theirs do not.
+
+    A loss that saturates throws away all readings that its start does not explain: from rest those
+    of a bent robot. Huber's with the same threshold leads near the shape first (graduated
+    non-convexity).
+    """
+    if not any(isinstance(r.loss, GemanMcClure) for r in located.streams):
+        return located
+    streams = [
+        r.changed(loss=Huber(r.loss.threshold)) if isinstance(r.loss, GemanMcClure) else r
+        for r in located.streams
+    ]
+    process, values = located.parameters.process, located.parameters.values
+    return locate(located.grid, streams, process.each, values, keep_all=True)
 
 
 def with_parameters(

@@ -7,6 +7,7 @@ hundred of them cost little more than one. Source: equations (2'), (20), (21).
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -23,7 +24,9 @@ from glissando.estimation.given import (
     require_streams,
 )
 from glissando.estimation.misfit import unreachable_readings
+from glissando.estimation.outliers import unlikely
 from glissando.estimation.posterior import Posterior
+from glissando.estimation.starting_point import with_convex_losses
 from glissando.estimation.static_iteration import Solved, iterate, node_covariances
 from glissando.estimation.static_posterior import StaticPosterior, require_whole
 from glissando.geometry.se3 import Array
@@ -37,12 +40,14 @@ from glissando.model.state import State
 from glissando.solver.curvature import curvature, with_curvature
 from glissando.solver.gauss_newton import SolverOptions
 from glissando.solver.located_readings import LocatedReadings, locate
+from glissando.solver.measurement_factors import measurement_factors
 from glissando.solver.outcome import Outcome
 from glissando.solver.static_equations import linearize_static, static_factors
 
 _DOFS = slice(0, STATIC_DOF)
 _BLOCKS = 6.0  # square blocks of numbers that are kept for a node of a shape
 _SOFT_ITERATIONS = 8
+_FEW = 2  # readings of a shape of which neither refutes the other
 
 
 def estimate_static(
@@ -56,9 +61,10 @@ def estimate_static(
     """Posterior of independent static shapes, solved together.
 
     The answer of each is that of `estimate` at a single moment, which also takes over shapes that
-    this way does not lead to. With a mechanical prior covariances are those of the whole Hessian
-    (31), which `estimate` has without its curvature. They are those about the shape that is found;
-    where the readings leave others far from it, `sample_static` draws them all.
+    this way does not lead to, and those of which others may refute a reading. With a mechanical
+    prior covariances are those of the whole Hessian (31), which `estimate` has without its
+    curvature. They are those about the shape that is found; where the readings leave others far
+    from it, `sample_static` draws them all.
 
     Args:
         prior: What is believed before any reading.
@@ -97,11 +103,24 @@ def estimate_static(
     with one_thread():
         located = locate(grid, given)
         state, (cov, cross), left = _together(prior, located, options)
-    outcomes = _complete(prior, grid, given, options, left, state, cov, cross)
+        left |= _contradicted(prior, located, state)
+    outcomes, refused = _complete(prior, grid, given, options, left, state, cov, cross)
     if isinstance(prior, MechanicalPrior):
         with one_thread():
             cov, cross = _with_curvature(prior, located, state, cov, cross)  # (31)
-    return StaticPosterior(prior, grid, state, cov, cross, outcomes)
+    return StaticPosterior(prior, grid, state, cov, cross, outcomes, refused)
+
+
+def _contradicted(prior: Prior, located: LocatedReadings, state: State) -> NDArray[np.bool_]:
+    """Which shapes (S,) have a reading that is unlikely, that no loss forgives, and some others."""
+    count = located.grid.time.size
+    out, read = np.zeros(count, dtype=bool), np.zeros(count, dtype=np.intp)
+    for stream, rows, batch in measurement_factors(prior, located, state, state):
+        own = located.streams[stream].time[rows].astype(np.intp)
+        read += np.bincount(own, minlength=count)
+        if batch.terms.loss is None:
+            out[own[unlikely(batch.terms)]] = True
+    return out & (read > _FEW)
 
 
 def _complete(
@@ -113,15 +132,18 @@ def _complete(
     state: State,
     cov: Array,
     cross: Array,
-) -> tuple[Outcome, ...]:
-    """Estimate by itself each shape that is left, in place; how all shapes were found."""
-    outcomes = [Outcome.CONVERGED] * left.size
+) -> tuple[tuple[Outcome, ...], dict[str, list[int]]]:
+    """Estimate by itself each shape that is left, in place; how all were found, rows refused."""
+    outcomes, refused = [Outcome.CONVERGED] * left.size, defaultdict[str, list[int]](list)
     for k in np.flatnonzero(left):
         one = _alone(prior, grid.arclength, readings, int(k), options)
         outcomes[k] = one.solve.outcome
         state.pose[k], state.strain[k] = one.state.pose[0], one.state.strain[0]
         cov[k], cross[k] = _node_blocks(one)
-    return tuple(outcomes)
+        for r in readings:
+            rows = np.flatnonzero(r.time == k)
+            refused[r.label] += rows[one.solve.refused.get(r.label, [])].tolist()
+    return tuple(outcomes), {name: rows for name, rows in refused.items() if rows}
 
 
 def _count(readings: Sequence[Readings], nodes: int, count: int | None) -> int:
@@ -172,8 +194,11 @@ def _require_reach(prior: Prior, located: LocatedReadings) -> None:
 
 
 def _first_shapes(prior: Prior, located: LocatedReadings) -> State:
-    """Shapes to start from: at rest, or what a softened prior leads to from there."""
+    """Shapes to start from: at rest, or where soft shear and convex losses lead from there."""
     soft, start = prior.with_soft_shear(), prior.rest_state(located.grid)
+    convex = with_convex_losses(located)
+    if convex is not located:
+        return iterate(soft, convex, start, SolverOptions())[0]
     if soft is prior:
         return start
     rough = SolverOptions.rough(located.grid.arclength.size * STATIC_DOF)
@@ -188,7 +213,7 @@ def _alone(
     own = [r.changed(time=np.zeros(len(r))) for r in own]
     if isinstance(prior, MechanicalPrior):
         prior = prior.of_shape(k)
-    return estimate(prior, Grid(arclength, [0.0]), own, options=options, gate=None)
+    return estimate(prior, Grid(arclength, [0.0]), own, options=options)
 
 
 def _node_blocks(one: Posterior) -> tuple[Array, Array]:

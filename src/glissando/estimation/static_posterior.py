@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,6 +39,7 @@ class StaticPosterior:
         cov: Covariances (S, N, 12, 12) of nodes.
         cross: Covariances (S, N−1, 12, 12) of neighbouring nodes.
         outcomes: How the solver ended for each shape.
+        refused: Rows of each stream that were not used, as the others refute them.
     """
 
     prior: Prior
@@ -46,6 +48,7 @@ class StaticPosterior:
     cov: Array
     cross: Array
     outcomes: tuple[Outcome, ...]
+    refused: Mapping[str, list[int]] = field(default_factory=dict)
 
     @property
     def converged(self) -> NDArray[np.bool_]:
