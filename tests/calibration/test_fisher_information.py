@@ -1,5 +1,8 @@
 """What samples of truth tell of parameters: slopes of their likelihood, and information."""
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -79,6 +82,38 @@ def test_the_information_is_the_mean_product_of_slopes(seed):
     np.testing.assert_allclose(
         seen / np.outer(scale, scale), information / np.outer(scale, scale), atol=0.2
     )
+
+
+def lasting(rng, moments, rows, memory):
+    """Standard normal numbers (M, r) that forget by as much from one moment to the next."""
+    out = rng.standard_normal((moments, rows))
+    for before, now in pairwise(out):
+        now[:] = memory * before + np.sqrt(1.0 - memory**2) * now
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("memory", [0.0, 0.8])
+def test_slopes_scatter_by_as_much_as_errors_last(memory):
+    """Were they independent they would scatter by their information."""
+    rng, moments, rows = np.random.default_rng(3), 60, 2
+    moves, spread = rng.standard_normal((2, moments, rows)), 0.5 * np.eye(rows)
+    slopes, stated, information = [], [], []
+    for _ in range(300):
+        white = lasting(rng, moments, rows, memory)
+        cov = np.broadcast_to(np.eye(rows), (moments, rows, rows))
+        beside = [(white + NUDGE * each, cov) for each in moves]
+        beside.append((white, cov + NUDGE * spread))
+        taken = np.arange(float(moments))
+        every = [replace(score([each]), moments=(taken,)) for each in [(white, cov), *beside]]
+        slope, info = fisher_information.slopes(every[0], every[1:], NUDGE)
+        slopes.append(slope)
+        information.append(info)
+        stated.append(fisher_information.slope_covariance(every[0], every[1:], NUDGE))
+    seen = moments * rows * np.mean([np.outer(s, s) for s in slopes], axis=0)
+    wide, one = np.diag(np.mean(stated, axis=0)), np.diag(np.mean(information, axis=0))
+    np.testing.assert_allclose(wide / np.diag(seen), 1.0, atol=0.35)
+    assert (wide[2] > 2.0 * one[2]) == (memory > 0.0)
 
 
 def test_a_parameter_without_an_estimate_has_no_slope_and_no_information():

@@ -208,6 +208,32 @@ def test_without_json_a_table_is_printed_that_names_the_numbers(
     assert load_robot(out).sensor_std["gyro"].shape == (3,)
 
 
+@pytest.mark.parametrize(
+    ("loss", "stated", "why"),
+    [
+        ("geman-mcclure", False, "with a loss that saturates (geman-mcclure) less is always"),
+        ("huber", True, "the recording states it"),
+    ],
+)
+def test_noise_of_which_nothing_can_be_learned_is_left_with_a_sentence(
+    recording, tmp_path, capsys, loss, stated, why
+):
+    folder = tmp_path / "arc"
+    shutil.copytree(recording, folder)
+    robot = (folder / "few.toml").read_text()
+    robot = robot.replace("[sensors.gyro]", f'[sensors.gyro]\nloss = "{loss}"')
+    (folder / "few.toml").write_text(robot)
+    if stated:
+        text = (folder / "recording.toml").read_text()
+        text = text.replace('kind = "gyro"', 'kind = "gyro"\nstd = [2e-3, 2e-3, 2e-3]')
+        (folder / "recording.toml").write_text(text)
+    options = ["--robot", folder / "few.toml", "--out", tmp_path / "learned.toml", *WINDOW]
+    assert run("learn", folder, *options, "--only", "gyro noise") == 2
+    said = capsys.readouterr().err
+    assert f"gyro noise is not learned: {why}" in said
+    assert "--only 'gyro noise' matches no number" in said
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "sentence"),

@@ -162,7 +162,7 @@ def _ended(result: Learned, unjudged: str, options: argparse.Namespace) -> int:
     if result.end is not End.SETTLED:
         print(
             f"glissando: the search ended after {steps_of(result)}: {result.end.value}. "
-            f"{options.out} holds what was learned; learn on from it.",
+            f"{options.out} holds what was learned.",
             file=sys.stderr,
         )
     if unjudged:
@@ -205,9 +205,12 @@ def _steps(options: argparse.Namespace) -> int:
 def _parameters(
     document: Document, cases: list[RecordingCase], options: argparse.Namespace
 ) -> list[Parameter]:
-    """The numbers to learn."""
-    kinds = [case.recording.streams[name].rows.kind for case in cases for name in case.use]
+    """The numbers to learn; says of which noise nothing can be learned."""
+    kinds, silent = _kinds(document, cases)
     everything = learnable(document, kinds, alike=options.alike)
+    for kind, why in silent.items():
+        if not options.only or _matches(f"{kind} noise", options.only):
+            print(f"glissando: {kind} noise is not learned: {why}.", file=sys.stderr)
     chosen = [p for p in everything if not options.only or _matches(p.label, options.only)]
     for words in options.only or ():
         if everything and not any(_matches(p.label, [words]) for p in everything):
@@ -223,6 +226,23 @@ def _parameters(
             f"are: {'; '.join(p.label for p in everything)}."
         )
     return chosen
+
+
+def _kinds(document: Document, cases: list[RecordingCase]) -> tuple[list[str], dict[str, str]]:
+    """Kinds of sensors whose noise can be learned; and of the others, why it cannot."""
+    silent: dict[str, str] = {}
+    streams = [case.recording.streams[name] for case in cases for name in case.use]
+    kinds = list(dict.fromkeys(stream.rows.kind for stream in streams))
+    of_file = {stream.rows.kind for stream in streams if stream.std is None}
+    for kind in kinds:
+        loss = document.get("sensors", {}).get(kind, {}).get("loss")
+        if kind not in of_file:
+            silent[kind] = "the recording states it"
+        elif loss == "geman-mcclure" and not any(case.predict for case in cases):
+            silent[kind] = (
+                f"with a loss that saturates ({loss}) less is always likelier; give huber, or truth"
+            )
+    return [kind for kind in kinds if kind not in silent], silent
 
 
 def _matches(label: str, only: list[str]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from glissando.geometry.se3 import Array
 
 NUDGE = 1e-2
 """Of a logarithm: far above what estimates beside one another are rounded to."""
+_LONGEST_MEMORY = 0.97  # correlation of residuals at neighbouring moments at most
 
 
 def slopes(centre: Score, beside: Sequence[Score | None], nudge: float) -> tuple[Array, Array]:
@@ -39,13 +41,60 @@ def slopes(centre: Score, beside: Sequence[Score | None], nudge: float) -> tuple
     return slope, changes @ changes.T / centre.samples
 
 
+def slope_covariance(centre: Score, beside: Sequence[Score | None], nudge: float) -> Array:
+    """Covariance (P, P) of the slope per degree of freedom, as errors of an estimate last.
+
+    It is the information of `slopes` if no two samples err together. Where those of two moments
+    correlate by r, their products of changed means count by r, of changed covariances by r²; r
+    falls exponentially with the time between, as fast as residuals themselves say (the Godambe
+    information of a composite likelihood: Varin, Reid and Firth, Statistica Sinica 21, 2011).
+
+    Args:
+        centre: The score of a robot file.
+        beside: Scores with each parameter (P,) nudged; None where there is no estimate.
+        nudge: How far it was moved.
+    """
+    out = np.zeros((len(beside), len(beside)))
+    for i, ((residual, cov), moment) in enumerate(
+        zip(centre.predicted, centre.moments, strict=True)
+    ):
+        root = np.linalg.cholesky(cov)
+        along = np.zeros((len(beside), *residual.shape))
+        across = np.zeros((len(beside), *cov.shape))
+        for own, wide, score in zip(along, across, beside, strict=True):
+            if score is not None:
+                moved, widened = score.predicted[i]
+                own[:], wide[:] = _changes(root, moved - residual, widened - cov)
+        alike = _alike(np.linalg.solve(root, residual[..., None])[..., 0], moment)
+        out += np.einsum("pmi,imn,qni->pq", along, alike, along, optimize=True)
+        for a, b in np.ndindex(*cov.shape[1:]):
+            wide = across[:, :, a, b]
+            out += 0.5 * wide @ (alike[a] * alike[b]) @ wide.T
+    return out / nudge**2 / centre.samples
+
+
+def _alike(white: Array, moment: Array) -> Array:
+    """Correlations (r, M, M) of whitened residuals (M, r) at numbers (M,) of their moments."""
+    apart = np.abs(moment[:, None] - moment)
+    near = np.argwhere(np.triu(apart == 1.0))
+    pairs = white[near[:, 0]], white[near[:, 1]]
+    size = 0.5 * sum(np.sum(each**2, axis=0) for each in pairs)
+    memory = np.sum(pairs[0] * pairs[1], axis=0) / np.maximum(size, 1e-300)
+    memory = np.clip(memory, 0.0, _LONGEST_MEMORY)
+    return np.asarray(memory[:, None, None] ** apart)
+
+
 def _whitened(centre: Sequence[Predicted], beside: Sequence[Predicted], nudge: float) -> Array:
     """Changes of residuals and covariances by a parameter, of which products are information."""
     parts: list[Array] = []
     for (residual, cov), (moved, widened) in zip(centre, beside, strict=True):
-        root = np.linalg.cholesky(cov)
-        along = np.linalg.solve(root, (moved - residual)[..., None])
-        half = np.linalg.solve(root, widened - cov)
-        across = np.linalg.solve(root, half.swapaxes(-1, -2))
+        along, across = _changes(np.linalg.cholesky(cov), moved - residual, widened - cov)
         parts += [along.ravel(), np.sqrt(0.5) * across.ravel()]
     return np.concatenate(parts) / nudge
+
+
+def _changes(root: Any, mean: Array, cov: Array) -> tuple[Array, Array]:
+    """Changes of means (M, r) and covariances (M, r, r), whitened by the roots of these."""
+    along = np.asarray(np.linalg.solve(root, mean[..., None])[..., 0])
+    half = np.linalg.solve(root, cov)
+    return along, np.asarray(np.linalg.solve(root, half.swapaxes(-1, -2)))

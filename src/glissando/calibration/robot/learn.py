@@ -34,7 +34,7 @@ class End(Enum):
     """How a search has ended."""
 
     SETTLED = "no step promises more"
-    LAST_STEP = "it has taken the steps it may and would go on; allow more"
+    LAST_STEP = "it has taken the steps it may and would go on; run it again with more"
     NO_GAIN = "no part of a step that promised more gave it"
     INTERRUPTED = "it was interrupted; what it had found by then is kept"
     BROKEN = "a process that learns ended, perhaps for want of memory; what it had found is kept"
@@ -48,7 +48,8 @@ class Learned:
         document: The robot file.
         parameters: The parameters that were learned.
         moved: Logarithm of each parameter's factor (P,), or its shift in units.
-        std: Standard deviation of that (P,), the others fixed; ln 3 where nothing was learned.
+        std: Standard deviation of that (P,), the others unknown as well; ln 3 where nothing was
+            learned.
         before: Score of the robot file at the start.
         after: Score of the learned one.
         steps: Number of steps.

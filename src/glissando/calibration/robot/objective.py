@@ -31,6 +31,7 @@ from glissando.model.table import Table
 from glissando.solver.gauss_newton import SolverOptions
 
 _TIGHT = SolverOptions(max_iterations=20, tolerance=1.0)
+_AWAY = 1e9  # stretches of time between two cases
 _ONE_STEP = SolverOptions(max_iterations=1, tolerance=np.inf)
 
 
@@ -127,7 +128,9 @@ class Objective:
             raise RecordingError("There is no truth in the window; choose another.")
         value = sum(s.value * s.samples for s in scores) / samples
         predicted = tuple(each for score in scores for each in score.predicted)
-        return Score(value, samples, sum(s.independent for s in scores), constants, predicted)
+        moments = tuple(m + _AWAY * i for i, score in enumerate(scores) for m in score.moments)
+        independent = sum(score.independent for score in scores)
+        return Score(value, samples, independent, constants, predicted, moments)
 
     @staticmethod
     def _readings(case: RecordingCase, robot: Robot) -> list[Readings]:

@@ -42,6 +42,8 @@ class Score:
         independent: Degrees of freedom that are independent; all places of a robot err together.
         constants: Frame, mounts and delays of the truth.
         predicted: The samples of truth, by stream; none of readings.
+        moments: The number of the stretch of APART seconds that each sample is of (M,), by stream;
+            those of other cases are far apart.
     """
 
     value: float
@@ -49,6 +51,7 @@ class Score:
     independent: float
     constants: tuple[SensorParameter, ...] = ()
     predicted: tuple[Predicted, ...] = ()
+    moments: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -104,10 +107,11 @@ def predict(
     predicted = tuple(_residual(corrected(t, constants), at) for t, at in pairs)
     total = sum(_cost(*each) for each in predicted)
     count = sum(residual.size for residual, _ in predicted)
-    stretches = np.concatenate([np.zeros(0), *(t.time // APART for t in sparse)])
+    moments = tuple(t.time // APART for t in sparse)
+    stretches = np.concatenate([np.zeros(0), *moments])
     independent = count * np.unique(stretches).size / max(stretches.size, 1)
     value = -total / max(count, 1)
-    return Score(value, count, independent, (*constants, *moving), predicted)
+    return Score(value, count, independent, (*constants, *moving), predicted, moments)
 
 
 def informative(truth: Sequence[Readings]) -> list[Readings]:

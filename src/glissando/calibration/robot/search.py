@@ -49,7 +49,7 @@ class Search:
         centre: The robot file at which the search is.
         x: How far the parameters are moved there (P,).
         value: Minus the log posterior there.
-        std: Standard deviation of each parameter (P,), the others fixed.
+        std: Standard deviation of each parameter (P,), the others unknown as well.
         left: How many steps more are expected, by the gain that the last one promised.
         stuck: Whether the last step promised a gain of which no part came true.
     """
@@ -95,11 +95,24 @@ class Search:
     def differentiate(self, tell: Callable[[float], None]) -> Array:
         """Slope (P,) at the centre; keeps the curvature and the standard deviations there."""
         by = self._by_samples if self.centre.score.predicted else self._by_evidence
-        slope, curvature = by(tell)
+        slope, curvature, noise = by(tell)
         least = float(_PRIOR_STD**-2.0 / self.independent)  # of the prior
         self._curvature = curvature + least * np.eye(self.x.size)
-        self.std = (np.diagonal(self._curvature) * self.independent) ** -0.5
+        self.std = self._spread(noise)
         return slope + least * self.x
+
+    def _spread(self, noise: Array | None) -> Array:
+        """Standard deviations (P,), all parameters unknown together.
+
+        Where the slope's own covariance (P, P) per degree of freedom is known, it is what errs: no
+        less than were all samples independent, and no more than the prior.
+        """
+        cov = np.linalg.inv(self._curvature) / self.independent
+        variance = np.diagonal(cov)
+        if noise is not None:
+            of_slope = self.independent * noise + _PRIOR_STD**-2.0 * np.eye(self.x.size)
+            variance = np.maximum(variance, np.einsum("ij,jk,ik->i", cov, of_slope, cov))
+        return np.minimum(np.sqrt(variance), _PRIOR_STD)
 
     def _within_reach(self, slope: Array) -> Array:
         """The Newton step (P,) among those of which no number goes farther than it may."""
@@ -114,8 +127,8 @@ class Search:
         points = [self.x, *(self.x + nudge * np.eye(self.x.size))]
         return [moved(self.document, self.parameters, x) for x in points]
 
-    def _by_samples(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
-        """Slope (P,) and expected curvature (P, P) by the samples of truth."""
+    def _by_samples(self, tell: Callable[[float], None]) -> tuple[Array, Array, Array | None]:
+        """Slope (P,), expected curvature and covariance of the slope (P, P) by truth's samples."""
         documents, scores = self._moved(fisher_information.NUDGE), list[Score | None]()
         for score in self.pool.map(nearby_score, [self.centre] * len(documents), documents):
             scores.append(score)
@@ -123,11 +136,13 @@ class Search:
         centre, *beside = scores
         if centre is None:
             self._beside = np.inf
-            return np.zeros(self.x.size), np.zeros((self.x.size, self.x.size))
+            return np.zeros(self.x.size), np.zeros((self.x.size, self.x.size)), None
         self._beside = self._with_prior(-centre.value, self.x)
-        return fisher_information.slopes(centre, beside, fisher_information.NUDGE)
+        nudge = fisher_information.NUDGE
+        noise = fisher_information.slope_covariance(centre, beside, nudge)
+        return *fisher_information.slopes(centre, beside, nudge), noise
 
-    def _by_evidence(self, tell: Callable[[float], None]) -> tuple[Array, Array]:
+    def _by_evidence(self, tell: Callable[[float], None]) -> tuple[Array, Array, None]:
         """Slope (P,) and curvature (P, P) by what the numbers change of the evidence."""
         self._beside = self.value
         far, fine = average_information.NUDGE, average_information.FINE
@@ -139,7 +154,7 @@ class Search:
         for i, part in enumerate(self.pool.map(call, parts)):
             changes[i :: self.processes] = part
             tell((i + 1) / (len(parts) + 1))
-        return average_information.slopes(changes, self.centre.score.samples)
+        return *average_information.slopes(changes, self.centre.score.samples), None
 
     def _try(self, step: Array, *, beside: bool = False) -> bool:
         """Whether a step is worth it, also if only to first order; if so, it is taken."""
