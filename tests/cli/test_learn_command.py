@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +13,18 @@ import pytest
 from command_line import run
 from glissando import GlissandoError, load_robot
 from glissando.calibration.robot import workers
+from glissando.calibration.robot.case import RecordingCase
 from glissando.calibration.robot.hyperparameters import Parameter, moved
 from glissando.calibration.robot.learn import End, Learned
 from glissando.calibration.robot.predictive import Score
+from glissando.calibration.robot.tendon_numbers import TIP
 from glissando.cli import learn as learn_command
-from glissando.cli import outputs
+from glissando.cli import learn_tendons, outputs
 from glissando.cli.learn_report import _cells, _held_out_cells, as_json
 from glissando.evaluation.run import run_estimate
+from glissando.io.recording_folder import load_recording
 from glissando.io.shipped_robots import robot_file
+from glissando.model.sensors.parameters import SensorParameter
 from learn_drawn import same_process
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "closed_form_motion.py"
@@ -145,6 +150,28 @@ def test_what_was_learned_stays_where_held_out_truth_cannot_be_judged(
     assert f"{out} holds what was learned" in captured.err
     assert "It cannot be judged." in captured.err
     assert load_robot(out).name == "tdcr466"
+
+
+def test_constants_are_found_where_most_truth_is_whatever_the_order(recording, capsys):
+    taken = load_recording(recording)
+    cases = [RecordingCase(taken, (0.0, end), ("coil",), ("truth1",)) for end in (0.2, 0.8)]
+    for given in (cases, cases[::-1]):
+        assert learn_command._longest_first(given) == cases[::-1]
+    assert "are found in closed form motion alone" in capsys.readouterr().err
+    assert learn_command._longest_first(cases[:1]) == cases[:1]
+    assert not capsys.readouterr().err
+
+
+def test_a_stated_frame_of_the_tip_is_not_moved_without_a_word():
+    def stated(turn):
+        value = np.array([0.1, 0.0, 0.0, 0.0, 0.0, turn])
+        frame = SensorParameter("tracker", "frame", (TIP,), value, np.zeros(6))
+        return replace(load_robot("tdcr466"), sensor_parameters=(frame,))
+
+    said = learn_tendons._frame_moved(stated(0.0), stated(0.5))
+    assert "turned by 28.6 degrees and moved by" in said
+    assert not learn_tendons._frame_moved(stated(0.0), stated(0.01))
+    assert not learn_tendons._frame_moved(load_robot("tdcr466"), stated(0.5))
 
 
 def test_a_folder_that_cannot_be_written_to_is_found_before_learning(

@@ -20,12 +20,14 @@ from glissando.calibration.robot.learn_tendons import (
 from glissando.calibration.robot.tendon_numbers import TIP
 from glissando.cli.outputs import write_robot
 from glissando.errors import RecordingError
+from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.csv_stream import Stream
 from glissando.io.recording import Recording
 from glissando.io.robot_file import load_robot
 from glissando.model.robot import Robot
 
+_TURNED, _SHIFTED = np.radians(3.0), 5e-3  # of a stated frame, rad and m, beyond which it is said
 _POOR = 0.25  # of how far the tip moves: errors that large are no robot of this file's kind
 _UNHEEDED = ("use", "truth", "hold_out", "only", "calibrate", "joint", "alike", "steps")
 
@@ -64,6 +66,8 @@ def learn_from_tendons(
     learned = learn_tendons(robot, TendonData.of(displacement, tip), _say)
     write_robot(_document(document, learned.robot), options.robot, options.out)
     report = _report(learned, len(tip), str(options.out))
+    if moved := _frame_moved(robot, learned.robot):
+        _say(moved)
     if learned.held_out_rmse > _POOR * spread(tip):
         _say(
             f"! Rows left out err by {100 * learned.held_out_rmse / spread(tip):.0f} % of how far "
@@ -86,6 +90,22 @@ def learn_from_tendons(
 
 def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
+
+
+def _frame_moved(before: Robot, learned: Robot) -> str:
+    """A sentence where the frame that a file stated of the marker's tracker fits no longer."""
+    if not any(p.kind == "frame" and TIP in p.streams for p in before.sensor_parameters):
+        return ""
+    poses = [se3.exp(robot.stated_transform("frame", TIP)) for robot in (before, learned)]
+    turn = float(np.linalg.norm(se3.log(se3.inverse(poses[0]) @ poses[1])[3:]))
+    shift = float(np.linalg.norm(poses[1][:3, 3] - poses[0][:3, 3]))
+    if turn < _TURNED and shift < _SHIFTED:
+        return ""
+    return (
+        f"! The stated frame of {TIP!r} was turned by {np.degrees(turn):.3g} degrees and moved by "
+        f"{1e3 * shift:.3g} mm to fit, as if the tracker stood elsewhere. If it was measured, turn "
+        f"the angles of [tendons] instead, and learn again."
+    )
 
 
 def _require_effect(options: argparse.Namespace) -> None:
