@@ -1,6 +1,6 @@
 """The names of the package; `__init__.py` imports the module of each when it is first used."""
 
-from .errors import GlissandoError, NotConvergedWarning
+from .errors import FalseConfidenceWarning, GlissandoError, NotConvergedWarning
 from .estimation.batch import estimate
 from .estimation.fixed_lag import FixedLagSmoother
 from .estimation.posterior import Posterior
@@ -11,6 +11,7 @@ from .estimation.static_posterior import StaticPosterior
 from .estimation.static_samples import sample_static
 from .evaluation.consistency import check
 from .evaluation.metrics import errors_against
+from .evaluation.plausibility.examine import examine
 from .geometry import se3
 from .io.netcdf import load_posterior, save_posterior
 from .io.recording_folder import load_recording
@@ -43,6 +44,7 @@ __all__ = [
     "BaseDensity",
     "BaseVariance",
     "CoilReadings",
+    "FalseConfidenceWarning",
     "FbgReadings",
     "FixedLagSmoother",
     "GemanMcClure",
@@ -70,6 +72,7 @@ __all__ = [
     "errors_against",
     "estimate",
     "estimate_static",
+    "examine",
     "load_posterior",
     "load_recording",
     "load_robot",

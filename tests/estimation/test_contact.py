@@ -34,6 +34,9 @@ PRIOR = MechanicalPrior(
     var_base=np.full(6, 1e-10),
 )
 
+# What is touched contradicts an estimate that knows of no touch.
+pytestmark = pytest.mark.filterwarnings("ignore::glissando.FalseConfidenceWarning")
+
 
 def shape(force, where=WHERE):
     """The rod under this force."""
@@ -161,7 +164,6 @@ def test_times_at_which_nothing_was_read_say_nothing_of_a_touch():
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::glissando.errors.FalseConfidenceWarning")  # it is touched
 @pytest.mark.parametrize("online", [False, True])
 @pytest.mark.parametrize("share", [0.25, 1.0])
 def test_over_time_a_force_is_as_large_as_it_is_and_there_while_it_is(online, share):

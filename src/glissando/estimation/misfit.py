@@ -24,7 +24,6 @@ _MISFIT = 5.0  # standard deviations by which a reading differs from all estimat
 _NAMED = 3  # readings or streams that are named
 _CHANCE, _RARE = 1e-3, 1e-6  # that a residual is beyond what counts as far, and as very far
 _SHARE = 0.1  # of a stream that may be far off
-_FEW, _TOUCHED = 20, 30.0  # readings, which a touch may move by so many standard deviations
 _SURE = 1e-4  # chance of as many that are far off, below which it is none
 _UNLIKELY, _EXCESS = 1e-4, 6.0  # chance of a cost, and how many times what is expected, to doubt
 _ALIKE = 0.5  # cosine of residuals, side by side, above which they are no outliers of their own
@@ -81,11 +80,10 @@ def misfit_sentence(prior: Prior, solution: Solution) -> str:
     not, prior or noise exclude what the robot did, and covariances are too small. An impact is none
     of that, nor are outliers that a robust loss forgives: those differ from their neighbours.
     """
-    touch = isinstance(prior, MechanicalPrior)
     far = [
         (share, f"{100.0 * share:.0f} % of {stream.label}")
         for stream, terms in _terms(solution)
-        if (share := _contradicting(terms, touch)) > _SHARE
+        if (share := _contradicting(terms)) > _SHARE
     ]
     if not far and is_implausible(prior, solution):
         return (
@@ -96,32 +94,35 @@ def misfit_sentence(prior: Prior, solution: Solution) -> str:
     if not far:
         return ""
     named = ", ".join(name for _, name in sorted(far)[::-1][:_NAMED])
+    why = "The prior (stretch, bends, rest shape, time scale)"
+    if isinstance(prior, MechanicalPrior):
+        why = (
+            "Something touches the robot, which scan_contacts finds; or its stiffness, rest, weight"
+        )
     return (
         f"The estimate contradicts its readings, so its confidence is too small: {named} lie "
-        f"farther from it than one in a thousand should. The prior (stretch, bends, rest shape, "
-        f"time scale), mounts, units or noise are not those of this robot."
+        f"farther from it than one in a thousand should. {why}, mounts, units or noise are not "
+        f"those of this robot."
     )
 
 
-def _contradicting(terms: Residuals, touch: bool) -> float:
+def _contradicting(terms: Residuals) -> float:
     """The share of residuals (M,) that are farther off than so many can be by chance.
 
-    Of fewer than ten one that is very far off is enough; where a touch may be looked for in few,
-    those count that no touch moves so far.
+    Of fewer than ten one that is very far off is enough.
     """
-    least = _TOUCHED if touch and len(terms.residual) < _FEW else 0.0
     for chance in (_CHANCE, _RARE):
-        off = _far_off(terms, chance, least)
+        off = _far_off(terms, chance)
         if bdtrc(int(off.sum()) - 1, off.size, chance) < _SURE:
             return float(off.mean())
     return 0.0
 
 
-def _far_off(terms: Residuals, chance: float, least: float = 0.0) -> Mask:
-    """Which residuals (M,) are beyond a chance and a size; with a loss, and like one beside it."""
+def _far_off(terms: Residuals, chance: float) -> Mask:
+    """Which residuals (M,) are beyond a chance; with a loss, and like one beside it."""
     white = terms.whiten(terms.residual)
     size = np.linalg.norm(white, axis=1)
-    far: Mask = size**2 > max(chdtri(white.shape[1], chance), least**2)
+    far: Mask = size**2 > chdtri(white.shape[1], chance)
     if terms.loss is None:
         return far
     along = np.einsum("mi,mi->m", white[1:], white[:-1])
