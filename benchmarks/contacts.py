@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import binomtest
 
-from glissando import CoilReadings, Grid, NotConvergedWarning, estimate
+from glissando import CoilReadings, FalseConfidenceWarning, Grid, NotConvergedWarning, estimate
 from glissando.estimation.contact import locate_contact, scan_contacts
 from glissando.geometry import se3
 from glissando.io.shipped_robots import robot_file
@@ -27,6 +27,8 @@ from glissando.simulation.bench import load_bench
 from glissando.visualization.canvas import canvas, save_figure
 from plan_page import table, write
 from script import run
+
+warnings.simplefilter("ignore", FalseConfidenceWarning)  # of a robot before its touch is found
 
 NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])
 STD_FORCE = 0.6  # N, each component

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -277,9 +278,18 @@ class _Problem:
         return [r.select(rows) for r, rows in zip(self.readings, used, strict=True)]
 
     def left_out(self, used: Sequence[Mask]) -> dict[str, list[int]]:
-        """Rows of each stream that were not used, of streams that have such rows."""
-        pairs = zip(self.readings, used, strict=True)
-        return {r.label: np.flatnonzero(~rows).tolist() for r, rows in pairs if not rows.all()}
+        """Rows of each stream that were not used, of streams that have such rows.
+
+        Of several streams of one label the second is "label 2".
+        """
+        out, labels = {}, Counter[str]()
+        for r, rows in zip(self.readings, used, strict=True):
+            labels[r.label] += 1
+            number = labels[r.label]
+            if not rows.all():
+                name = r.label if number == 1 else f"{r.label} {number}"
+                out[name] = np.flatnonzero(~rows).tolist()
+        return out
 
 
 def _after(before: int, progress: Progress | None) -> Progress | None:

@@ -145,6 +145,7 @@ class FixedLagSmoother:
                     self._undelayed.advance(time)
             self._steps.advance(time)
             self._monitor.check_state(self._window.nodes.newest[0], self._steps.restarts)
+            self._monitor.check_times(self.dropped)
             if self._steps.behind:
                 return self.at(self.arclength, time)
             return self._steps.newest()

@@ -23,6 +23,7 @@ from glissando.model.field_checks import is_number
 from glissando.model.grid import SAME, Grid
 from glissando.model.mechanics import Mechanics, implausible
 from glissando.model.priors.prior import Prior
+from glissando.model.robot import LONGEST
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
@@ -30,7 +31,6 @@ from glissando.solver.gauss_newton import SolverOptions
 
 _FAR = 5.0  # standard deviations of an offset
 _LIKE = 0.75  # how alike names are of which one may be misspelt
-_LONGEST = 50.0  # m of a robot, as in a robot file
 
 
 def require_batch(
@@ -42,7 +42,7 @@ def require_batch(
     options: SolverOptions | None,
 ) -> None:
     """Raise GlissandoError for what cannot be estimated as a recording."""
-    _require_kind(grid, Grid, "grid", "give robot.grid(first, last) or a Grid")
+    require_kind(grid, Grid, "grid", "give robot.grid(first, last) or a Grid")
     require_model(prior, grid.arclength, sensor_parameters)
     require_streams(readings)
     _require_once(readings)
@@ -53,13 +53,20 @@ def require_batch(
             if r.name in parameter.streams and len(r):
                 _require_plausible(grid, r, parameter)
     if initial is not None:
-        _require_kind(initial, State, "initial state", "give posterior.states_on(grid) or a State")
+        require_kind(initial, State, "initial state", "give posterior.states_on(grid) or a State")
         if initial.pose.shape[:2] != grid.shape:
             raise OutsideGridError(
                 f"The initial state has {initial.pose.shape[:2]} nodes and the grid {grid.shape}; "
                 f"give a state of this grid."
             )
     require_base(prior, readings)
+    if len(readings) and not any(map(len, readings)):
+        warnings.warn(
+            f"None of the streams ({', '.join(r.label for r in readings)}) has a reading: the "
+            f"estimate is the prior. Are their window and names right?",
+            EstimateWarning,
+            stacklevel=3,
+        )
 
 
 def _require_once(readings: Sequence[Readings]) -> None:
@@ -109,7 +116,7 @@ def require_model(
     if isinstance(prior, type) or not hasattr(prior, "rest_state"):
         raise GlissandoError(f"The prior is a {type(prior).__name__}; give robot.prior or a Prior.")
     longest = float(np.max(arclength, initial=0.0))
-    if longest > _LONGEST:
+    if longest > LONGEST:
         raise OutsideGridError(
             f"The arclength nodes reach {longest:g} m; give metres, not millimetres."
         )
@@ -123,7 +130,7 @@ def require_model(
     if wrong is not None:
         raise GlissandoError(f"Mechanics: {wrong[0]} {wrong[1]}")
     names = set()
-    for parameter in _listed(sensor_parameters, SensorParameter, "sensor parameters"):
+    for parameter in require_list(sensor_parameters, SensorParameter, "sensor parameters"):
         if parameter.name in names:
             raise SensorError(f"Two sensor parameters are named {parameter.name!r}; rename one.")
         names.add(parameter.name)
@@ -140,7 +147,7 @@ def _require_plausible(grid: Grid, readings: Readings, parameter: SensorParamete
         return
     nodes, unit = (grid.time, "s") if parameter.kind == "time_offset" else (grid.arclength, "m")
     at = getattr(parameter.shift(readings, parameter.value), parameter.along)
-    room = _FAR * float(parameter.std[0])
+    room = min(_FAR * float(parameter.std[0]), float(np.ptp(nodes)))
     if np.mean((at < nodes[0] - room) | (at > nodes[-1] + room)) > 0.5:
         raise OutsideGridError(
             f"Sensor parameter {parameter.name!r} is {parameter.value[0]:g} {unit}, which puts "
@@ -162,13 +169,13 @@ def arclength_nodes(given: ArrayLike) -> Array:
 
 def require_streams(readings: Sequence[Readings]) -> None:
     """Raise SensorError unless readings are a list of streams."""
-    _listed(readings, Readings, "readings")
+    require_list(readings, Readings, "readings")
 
 
 def require_options(options: SolverOptions | None) -> None:
     """Raise GlissandoError for options of another class, such as a dict."""
     if options is not None:
-        _require_kind(options, SolverOptions, "options", "give SolverOptions(max_iterations=…)")
+        require_kind(options, SolverOptions, "options", "give SolverOptions(max_iterations=…)")
 
 
 def require_gate(gate: float | None) -> None:
@@ -182,7 +189,7 @@ def require_gate(gate: float | None) -> None:
 
 def require_stream(readings: Readings) -> None:
     """Raise GlissandoError unless these are the readings of one stream."""
-    _require_kind(readings, Readings, "stream", "give the readings of one sensor at a time")
+    require_kind(readings, Readings, "stream", "give the readings of one sensor at a time")
 
 
 def require_window(window: int) -> None:
@@ -196,12 +203,13 @@ def require_window(window: int) -> None:
         raise OutsideGridError(f"A window of {window} time nodes is empty; give 1 or more.")
 
 
-def _require_kind(given: Any, kind: type, name: str, advice: str) -> None:
+def require_kind(given: Any, kind: type | tuple[type, ...], name: str, advice: str) -> None:
+    """Raise GlissandoError, which names the argument, unless it is of a class."""
     if not isinstance(given, kind):
         raise GlissandoError(f"The {name} is a {type(given).__name__}; {advice}.")
 
 
-def _listed(given: Any, kind: type, name: str) -> Any:
+def require_list(given: Any, kind: type, name: str) -> Any:
     """The entries of a list, each of one class; raises SensorError for anything else."""
     if isinstance(given, kind) or not isinstance(given, Collection):
         raise SensorError(

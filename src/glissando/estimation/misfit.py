@@ -96,9 +96,7 @@ def misfit_sentence(prior: Prior, solution: Solution) -> str:
     named = ", ".join(name for _, name in sorted(far)[::-1][:_NAMED])
     why = "The prior (stretch, bends, rest shape, time scale)"
     if isinstance(prior, MechanicalPrior):
-        why = (
-            "Something touches the robot, which scan_contacts finds; or its stiffness, rest, weight"
-        )
+        why = "Something touches the robot (see scan_contacts), or its stiffness, rest, weight"
     return (
         f"The estimate contradicts its readings, so its confidence is too small: {named} lie "
         f"farther from it than one in a thousand should. {why}, mounts, units or noise are not "

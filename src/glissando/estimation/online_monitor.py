@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
+from collections.abc import Mapping
 
 import numpy as np
 
-from glissando.errors import FalseConfidenceWarning
+from glissando.errors import EstimateWarning, FalseConfidenceWarning
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
@@ -15,6 +17,7 @@ from glissando.model.state import State
 
 _RESTARTS = 10  # of a window, after which it is asked whether most times were such
 _UNIT = 20.0  # lengths of the robot: farther along it is another unit
+_LOST, _MOST = 20, 0.9  # readings of a stream, and share of them, that are out of time by mistake
 _REACH, _AT_BASE = 1.4, 0.1  # of arclength and of length: farther from the base no robot stretches
 
 
@@ -33,9 +36,11 @@ class OnlineMonitor:
         self._advances, self._forgets, self._astray, self.beyond = 0, False, False, False
         self._farthest = _UNIT * float(arclength[-1])
         self._elsewhere: set[str] = set()  # streams
+        self._given, self._untimely = Counter[str](), set[str]()
 
     def check_places(self, readings: Readings) -> None:
         """Look at where readings are said to be, before those off the robot are left out."""
+        self._given[readings.label] += len(readings)
         place = readings.arclength
         if not len(place) or place[0] <= self._farthest or readings.label in self._elsewhere:
             return
@@ -44,6 +49,20 @@ class OnlineMonitor:
             f"{readings.label} reads at {place[0]:g} m of a robot of {self._arclength[-1]:g} m and "
             f"is left out; give metres, not millimetres."
         )
+
+    def check_times(self, dropped: Mapping[str, Mapping[str, int]]) -> None:
+        """Look at how many readings of each stream were out of time, by what was `dropped`."""
+        for label, counts in dropped.items():
+            lost = counts.get("late", 0) + counts.get("ahead", 0)
+            if lost < max(_LOST, _MOST * self._given[label]) or label in self._untimely:
+                continue
+            self._untimely.add(label)
+            _warn(
+                f"{lost} of {self._given[label]} readings of {label} are left out: they lie before "
+                f"the window, or more than two seconds ahead. Give the time of their clock, in "
+                f"seconds, to advance(), as often as they come, or a longer window.",
+                EstimateWarning,
+            )
 
     def check_state(self, newest: State, restarts: int) -> None:
         """Look at the newest nodes (N,) and at how often a window began anew until now."""
@@ -70,5 +89,5 @@ class OnlineMonitor:
             )
 
 
-def _warn(sentence: str) -> None:
-    warnings.warn(sentence, FalseConfidenceWarning, stacklevel=4)
+def _warn(sentence: str, category: type[Warning] = FalseConfidenceWarning) -> None:
+    warnings.warn(sentence, category, stacklevel=4)

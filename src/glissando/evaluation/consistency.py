@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from glissando.errors import GlissandoError
+from glissando.estimation.given import require_list
 from glissando.estimation.posterior import Posterior
 from glissando.evaluation.effective_samples import effective_errors, effective_samples
 from glissando.evaluation.metrics import Errors, innovations
@@ -52,17 +54,21 @@ class Consistency(ShortRepr):
 
     def mean_bounds(self, level: float = 0.95) -> tuple[float, float]:
         """Two-sided χ² bounds of the mean, which hold with probability `level` if it is true."""
+        _require_share(level)
         freedom = self.effective * self.dof
         tail = 0.5 * (1.0 - level)
         low, high = chi_square_quantile([tail, 1.0 - tail], freedom) / freedom
         return float(low), float(high)
 
     def coverage(self, nominal: float) -> float:
-        """Share of samples inside the ellipsoid that should hold a share `nominal`."""
+        """Share of samples inside the ellipsoid that should hold a share `nominal` below 1."""
+        _require_share(nominal)
         return float(np.mean(self.nees <= chi_square_quantile(nominal, self.dof)))
 
     def coverage_bounds(self, nominal: float, level: float = 0.95) -> tuple[float, float]:
         """Bounds of the coverage, which hold with probability `level` or more if it is true."""
+        _require_share(nominal)
+        _require_share(level)
         count = max(1, round(self.effective))
         tail = 0.5 * (1.0 - level)
         low, high = binomial_quantile([tail, 1.0 - tail], count, nominal) / count
@@ -98,6 +104,11 @@ class Consistency(ShortRepr):
         }
 
 
+def _require_share(share: float) -> None:
+    if not 0.0 < share < 1.0:
+        raise GlissandoError(f"A share of {share:g} cannot be; give 0.95 for 95 %.")
+
+
 def check(errors: Sequence[Errors]) -> list[Consistency]:
     """Consistency of position and rotation at every site, then of all sites together.
 
@@ -106,6 +117,7 @@ def check(errors: Sequence[Errors]) -> list[Consistency]:
     Args:
         errors: Errors of each site.
     """
+    require_list(errors, Errors, "errors")
     out = []
     for quantity in ("position", "rotation"):
         sites = [c for e in errors if (c := _at_site(e, quantity)) is not None]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from glissando.errors import SensorError
+from glissando.estimation.given import require_kind
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.reading_fit import fit_of
 from glissando.estimation.reading_noise import StateSource, reading_covariance
@@ -104,6 +105,9 @@ def errors_against(estimate: StateSource, truth: Readings) -> Errors:
     Raises:
         SensorError: For other kinds of truth, and for truth in a channel that is not placed.
     """
+    require_kind(truth, Readings, "truth", "give one stream of Readings, the estimate first")
+    if not hasattr(estimate, "at"):
+        require_kind(estimate, Posterior, "estimate", "give what estimate() returns")
     if not isinstance(truth, _TRUTH):
         raise SensorError(
             f"{truth.label}: a {type(truth).__name__} cannot be truth; give poses, coils, "

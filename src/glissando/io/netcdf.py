@@ -10,12 +10,14 @@ import io
 import json
 from collections.abc import Sequence
 from math import prod
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from glissando.errors import GlissandoError, needing
+from glissando.estimation.given import require_kind
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.solve_report import SolveReport
 from glissando.estimation.transported import has_rolled, transported
@@ -65,6 +67,7 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
     Raises:
         GlissandoError: The file cannot be written, or h5netcdf is not installed.
     """
+    require_kind(posterior, Posterior, "posterior", "give the estimate, and then the file")
     variables, coordinates, attributes = labelled(posterior)
     slab = ("slab", "slab_")
     variables["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose, {})
@@ -124,6 +127,7 @@ def load_posterior(path: str | Path) -> Posterior:
     Raises:
         GlissandoError: The file cannot be read, is no posterior, or announces more than it holds.
     """
+    require_kind(path, (str, PathLike), "posterior to load", "give the path of its file")
     path = Path(path)
     try:
         require_plain(path, 1 << 40)

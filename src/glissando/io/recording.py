@@ -47,6 +47,17 @@ class Recording(ShortRepr):
     allow: tuple[str, ...] = ()
     unknown_frames: frozenset[str] = frozenset()
 
+    @staticmethod
+    def of(streams: Sequence[Stream], name: str, robot: Robot | None = None) -> Recording:
+        """A recording of streams in the world frame, such as those of a simulated session.
+
+        Args:
+            streams: The streams.
+            name: What it is called in messages.
+            robot: The robot they are of.
+        """
+        return Recording(name, Path(name), {stream.name: stream for stream in streams}, robot, None)
+
     def readings(
         self,
         names: Sequence[str],
@@ -68,9 +79,10 @@ class Recording(ShortRepr):
             Readings of each stream, and the counts of dropped rows by stream and reason.
 
         Raises:
-            RecordingError: A name is unknown, a stream has no noise, an arclength is off the robot,
-                or nothing says where the stream's frame is.
+            RecordingError: A name is unknown, the window is none, a stream has no noise, an
+                arclength is off the robot, or nothing says where the stream's frame is.
         """
+        _require_choice(names, robot, window)
         out, dropped = [], {}
         moving = [p for p in robot.sensor_parameters if p.known and p.moves]
         for name in names:
@@ -153,6 +165,20 @@ class Recording(ShortRepr):
                 f"{self.folder} holds no readings{of}; see that its sensors send, and record again."
             )
         return min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
+
+
+def _require_choice(names: Sequence[str], robot: Robot, window: tuple[float, float]) -> None:
+    """Raise RecordingError for a name in place of names, a robot's name, or no window."""
+    if isinstance(names, str):
+        raise RecordingError(f"The streams are {names!r}; give a list of names, [{names!r}].")
+    if not isinstance(robot, Robot):
+        raise RecordingError(f"The robot is {robot!r}; give load_robot(…).")
+    try:
+        first, last = (float(time) for time in window)
+    except (TypeError, ValueError):
+        raise RecordingError(f"The window is {window!r}; give first and last time, s.") from None
+    if not first <= last:
+        raise RecordingError(f"The window {first:g} to {last:g} s is empty; give T0 < T1.")
 
 
 def _require_on_robot(name: str, rows: Rows, robot: Robot, channel: Channel | None) -> None:

@@ -21,7 +21,7 @@ from glissando.model.mechanics import implausible, read_mechanics
 from glissando.model.noise import GemanMcClure, Huber, Loss
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.registry import prior_class, prior_kinds
-from glissando.model.robot import Robot
+from glissando.model.robot import LONGEST, SHORTEST, Robot
 from glissando.model.sensors.parameters import SIZES, SensorParameter
 from glissando.model.sensors.sensors import sensor_class, sensor_kinds
 from glissando.model.table import Table
@@ -36,7 +36,6 @@ OLD_KINDS = {
 }
 """Kinds of priors and of sensor parameters by the names of files of before."""
 _NODES = 10_000  # along a robot: more is another unit
-_LENGTHS = 1e-3, 50.0  # m of a robot
 _LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
     "huber": Huber,
     "geman-mcclure": GemanMcClure,
@@ -98,7 +97,7 @@ def parse_robot(table: Table) -> Robot:
     """
     name = table.text("name", Path(table.where).stem)
     length = table.number("length")
-    if not _LENGTHS[0] <= length <= _LENGTHS[1]:
+    if not SHORTEST <= length <= LONGEST:
         raise table.fail("length", f"is {length:g} m; give metres, not millimetres or inches.")
     prior = _prior(table)
     if prior.joints.size and prior.joints[-1] >= length:

@@ -50,7 +50,7 @@ class FieldChecks:
         """
         given = getattr(self._model, name)
         try:
-            value = np.asarray(given, dtype=float)
+            value = np.array(given, dtype=float)  # its own: the caller may go on with theirs
         except (TypeError, ValueError):
             raise self.fail(name, f"is {given!r}; give numbers.") from None
         if not any(_fits(value.shape, shape) for shape in shapes):

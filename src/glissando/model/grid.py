@@ -132,7 +132,7 @@ class Grid(ShortRepr):
     def __init__(self, arclength: ArrayLike, time: ArrayLike, before: float | None = None) -> None:
         for name, given in (("arclength", arclength), ("time", time)):
             try:
-                nodes = np.atleast_1d(np.asarray(given, dtype=float))
+                nodes = np.atleast_1d(np.array(given, dtype=float))
             except (TypeError, ValueError):
                 nodes = np.zeros(0)
             if nodes.ndim != 1 or nodes.size == 0 or not np.isfinite(nodes).all():

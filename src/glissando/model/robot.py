@@ -7,23 +7,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
-from glissando.model.field_checks import is_number
-from glissando.model.grid import Grid
+from glissando.model.field_checks import FieldChecks, is_number
+from glissando.model.grid import SAME, Grid
 from glissando.model.mechanics import Mechanics
 from glissando.model.memory import require_memory
 from glissando.model.noise import Loss
 from glissando.model.priors.prior import Prior
 from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import SensorParameter
-from glissando.model.sensors.readings import Readings
+from glissando.model.sensors.readings import SENSORS, Readings
 from glissando.model.short_repr import ShortRepr
 from glissando.model.state import DOF
 from glissando.model.tendons.tendons import Tendons
 from glissando.model.tube import Tube
 
+SHORTEST, LONGEST = 1e-3, 50.0  # m of a robot
 _BLOCKS = 4.0  # square blocks of numbers that an estimate keeps for a time node
 
 
@@ -65,6 +67,26 @@ class Robot(ShortRepr):
     nodes_at_readings: bool = False
     file: Path | None = None
 
+    def __post_init__(self) -> None:
+        stated = FieldChecks(self)
+        if not isinstance(self.name, str):
+            raise stated.fail("name", f"is {self.name!r}; give a text, and then the length.")
+        length = stated.number("length", above=0.0)
+        if not SHORTEST <= length <= LONGEST:
+            raise stated.fail("length", f"is {length:g} m; give metres, not millimetres or inches.")
+        nodes = stated.numbers("arclength_nodes", (-1,))
+        if np.any(np.diff(nodes) <= 0.0) or nodes[0] != 0.0 or abs(nodes[-1] - length) > SAME:
+            raise stated.fail(
+                "arclength_nodes",
+                f"go from {nodes[0]:g} to {nodes[-1]:g} m; let them increase from 0 to the "
+                f"length, {length:g} m.",
+            )
+        stated.number("time_rate", above=0.0)
+        if isinstance(self.prior, type) or not hasattr(self.prior, "rest_state"):
+            raise stated.fail("prior", f"is {self.prior!r}; give a Prior.")
+        std = {kind: _std(stated, kind, given) for kind, given in self.sensor_std.items()}
+        object.__setattr__(self, "sensor_std", std)
+
     def stated_transform(self, kind: str, stream: str) -> Array:
         """Logarithm (6,) of a stream's frame or mount as stated; zero where it is not."""
         stated = (p for p in self.sensor_parameters if p.kind == kind and stream in p.streams)
@@ -82,8 +104,10 @@ class Robot(ShortRepr):
             OutsideGridError: Times are no numbers, or an estimate would need more memory than the
                 machine can give.
         """
-        if not (is_number(start) and is_number(stop)):
-            raise OutsideGridError(f"A grid goes from {start!r} to {stop!r} s; give two numbers.")
+        if not (is_number(start) and is_number(stop) and start <= stop):
+            raise OutsideGridError(
+                f"A grid goes from {start!r} to {stop!r} s; give two numbers, the later one second."
+            )
         wanted = max(2.0, float(np.round((stop - start) * self.time_rate)) + 1.0)
         self._require_memory(wanted, start, stop, f"at {self.time_rate:g} nodes a second")
         grid = Grid(self.arclength_nodes, np.linspace(start, stop, int(wanted)))
@@ -107,3 +131,15 @@ class Robot(ShortRepr):
             count: Number of time nodes.
         """
         return float(count) * _BLOCKS * 8.0 * (DOF * self.arclength_nodes.size) ** 2
+
+
+def _std(stated: FieldChecks, kind: str, given: ArrayLike) -> Array:
+    """Standard deviations of a kind of sensor, position and rotation as a pair or by component."""
+    try:
+        std = np.atleast_1d(np.array(given, dtype=float))
+    except (TypeError, ValueError):
+        std = np.zeros(0)
+    if std.ndim != 1 or not std.size or not np.all((std > 0.0) & np.isfinite(std)):
+        raise stated.fail("sensor_std", f"of {kind} is {given!r}; give numbers above 0.")
+    rows = SENSORS[kind].rows if kind in SENSORS else std.size
+    return np.repeat(std, (3, rows - 3)) if std.size == 2 and rows in (5, 6) else std

@@ -14,6 +14,7 @@ import numpy as np
 
 from glissando._kernels.threads import one_thread
 from glissando.estimation.fixed_lag import FixedLagSmoother
+from glissando.estimation.given import require_kind
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
@@ -120,6 +121,7 @@ def belief_of(source: BeliefSource, start: float = 0.0) -> Belief:
         parameters = source.sensor_parameters
         shape, cov, grid = source.newest_node()  # its posterior would take ten times as long
     else:
+        require_kind(source, Posterior, "belief's source", "give an estimate or a Robot")
         parameters = tuple(parameter for parameter, _ in source.sensor_parameters)
         shape, cov, grid = source.state.take(-1), source.marginals.cov[-1], source.grid
     time = float(grid.time[-1])

@@ -17,6 +17,7 @@ from scipy.special import erfc
 
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
+from glissando.model.field_checks import is_number
 
 _POLAR, _AROUND = 24, 32  # quadrature over the directions of a half sphere
 
@@ -62,6 +63,9 @@ class LogDet:
 
     rows: int = 3
 
+    def __post_init__(self) -> None:
+        _require_rows(self.rows)
+
     def __call__(self, cov: Array, weight: Array) -> tuple[float, Array]:
         """Σ w log det C, with gradient w C⁻¹."""
         value = float(np.sum(weight * np.linalg.slogdet(cov)[1]))
@@ -79,6 +83,11 @@ class Worst:
 
     power: int = 16
     rows: int = 3
+
+    def __post_init__(self) -> None:
+        _require_rows(self.rows)
+        if not isinstance(self.power, int) or self.power < 1:
+            raise GlissandoError(f"A power of {self.power!r} cannot be; give a whole one from 1.")
 
     def __call__(self, cov: Array, weight: Array) -> tuple[float, Array]:
         """The p-norm, with gradient w C^(p−1) J^(1−p)."""
@@ -105,8 +114,9 @@ class Chance:
     rows: int = 3
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.bound) and self.bound > 0.0):
-            raise GlissandoError(f"A bound of {self.bound:g} m cannot be; give one above zero.")
+        if not (is_number(self.bound) and 0.0 < self.bound < np.inf):
+            bound = repr(self.bound).removesuffix(".0")
+            raise GlissandoError(f"A bound of {bound} m cannot be; give one above zero.")
 
     def __call__(self, cov: Array, weight: Array) -> tuple[float, Array]:
         """Σ w P, gradient w E_n[f(y) y/q n nᵀ] with q = nᵀCn, y = b²/q, f the density of χ²₃."""
@@ -117,6 +127,11 @@ class Chance:
         density = np.sqrt(y / (2.0 * np.pi)) * np.exp(-0.5 * y)
         gradient = np.einsum("z,d,zd,di,dj->zij", weight, share, density * y / variance, n, n)
         return float(np.einsum("z,d,zd->", weight, share, beyond)), gradient
+
+
+def _require_rows(rows: int) -> None:
+    if rows not in (3, 6):
+        raise GlissandoError(f"An objective of {rows!r} rows cannot be; give 3, or 6 of a pose.")
 
 
 def _directions() -> tuple[Array, Array]:
@@ -151,10 +166,20 @@ def objective_named(name: str, bound: float = 5e-3, longest: float = np.inf) -> 
         raise GlissandoError(
             f"There is no objective {name!r}; choose one of {', '.join(OBJECTIVES)}."
         )
-    if name != "chance":
-        return OBJECTIVES[name]()
+    objective = Chance(bound) if name == "chance" else OBJECTIVES[name]()
+    require_objective(objective, longest)
+    return objective
+
+
+def require_objective(objective: Objective, longest: float) -> None:
+    """Raise GlissandoError for a class or a text, and for a bound longer than the robot, m."""
+    if isinstance(objective, type | str) or not callable(objective):
+        raise GlissandoError(
+            f"The objective is {objective!r}; give Trace(), LogDet(), Worst() or Chance(0.005), "
+            f"or objective_named(…)."
+        )
+    bound = getattr(objective, "bound", 0.0)
     if bound > longest:
         raise GlissandoError(
             f"A bound of {bound:g} m exceeds the robot's length, {longest:g} m; give metres."
         )
-    return Chance(bound)

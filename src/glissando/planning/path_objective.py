@@ -14,10 +14,11 @@ from functools import cached_property
 
 import numpy as np
 
+from glissando.estimation.given import require_kind
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 from glissando.model.priors.transitions import symmetrize
-from glissando.planning.objectives import Objective
+from glissando.planning.objectives import Objective, require_objective
 from glissando.planning.planning_problem import PlanningProblem
 from glissando.planning.zones import Zone, zone_points
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, Marginals, factor
@@ -71,7 +72,7 @@ class PathObjective:
         Raises:
             GlissandoError: There is no such path.
         """
-        self.problem.require_path(arclength)
+        arclength = self.problem.require_path(arclength)
         lattice, table = self.problem.lattice, self._table
         step = lattice[1] - lattice[0]
         place = (arclength[:, None] - self.problem.sensor.behind - lattice[0]) / step
@@ -182,9 +183,13 @@ def path_objective_of(
     """The objective of a path over zones, at the middles of the time cells.
 
     Raises:
-        GlissandoError: There is no zone, or one leaves the body or the time ahead.
+        GlissandoError: There is no zone, or one leaves the body or the time ahead, or the
+            objective is none.
     """
+    advice = "give predict_information(…)"
+    require_kind(problem, PlanningProblem, "planning problem", advice)
     span, length = (problem.start, problem.end), float(problem.ahead.grid.arclength[-1])
+    require_objective(objective, length)
     place, time, weight = zone_points(zones, problem.zone_times, span, length)
     order = np.argsort(time, kind="stable")
     cell, rows, cov = problem.points(place[order], time[order])

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from glissando.errors import GlissandoError
+from glissando.estimation.given import require_kind
 from glissando.geometry.se3 import Array
 from glissando.model.slide_path import SlideLimits
 from glissando.planning.optimize import Polytope
@@ -174,7 +175,12 @@ def path_space_of(
         horizon: Duration of a path, s.
         step: Duration of a piece of the spline, s.
     """
-    steps = max(2, round(horizon / step))
+    require_kind(limits, SlideLimits, "limits of the slide", "give SlideLimits(…)")
+    if not (0.0 < step < np.inf and 2.0 * step <= horizon * (1.0 + 1e-9) < np.inf):
+        raise GlissandoError(
+            f"{horizon:g} s ahead in steps of {step:g} s cannot be planned; give two steps or more."
+        )
+    steps = round(horizon / step)
     lower = upper - limits.stroke
     return PathSpace(lower, upper, limits.speed, limits.acceleration, step, steps, start)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -12,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from glissando._kernels.threads import one_thread
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, PlanWarning
+from glissando.estimation.given import require_kind
 from glissando.geometry.se3 import Array
 from glissando.model.slide_path import SlideLimits, SlidePath
 from glissando.planning.optimize import descend, is_inside
@@ -21,6 +23,7 @@ from glissando.planning.path_space import PathSpace
 from glissando.planning.zones import Zone
 
 _RANDOM, _DWELLING = 4, 20  # random starts, and such that dwell
+_FLAT = 1e-9  # by which values of starts differ, if any is better
 _ALIKE = 0.05  # of the reach, within which two paths are one start
 _ITERATIONS, _STEPS = 12, 8  # of the best start: at least, and steps of its path for each
 _BRIEFLY = 4  # times fewer for each of the other starts
@@ -98,7 +101,12 @@ def plan_slide(
     Raises:
         GlissandoError: The path space has not the steps of the planning problem, or the weight is
             below zero.
+
+    Warns:
+        PlanWarning: No start is worth more than another.
     """
+    require_kind(objective, PathObjective, "objective of a path", "give path_objective_of(…)")
+    require_kind(path_space, PathSpace, "path space", "give path_space_of(…)")
     problem = objective.problem
     if (path_space.steps, path_space.step) != (problem.steps, problem.step):
         raise GlissandoError(
@@ -118,6 +126,7 @@ def plan_slide(
     search = _Search(objective, path_space, speed_weight)
     with one_thread():
         values = [search.value(path) for path in paths]
+        _warn_of_flat(values)
         ranked = [(paths[i], values[i]) for i in np.argsort(values)]
         apart = _ALIKE * (path_space.upper - path_space.lower)
         improved = [
@@ -166,6 +175,17 @@ def starts(
         turn = chosen[np.searchsorted(changes, time)]
         out[f"dwelling {i + 1}"] = places[turn, np.arange(time.size)]
     return out
+
+
+def _warn_of_flat(values: Sequence[float]) -> None:
+    """Say so where no start is worth more than another, as of a chance that is 0 or 1."""
+    if len(values) > 1 and np.ptp(values) <= _FLAT * max(map(abs, values)):
+        warnings.warn(
+            f"Every path has the value {values[0]:.3g}, so none is better than another: give an "
+            f"objective that varies, of a chance a bound in metres near the error.",
+            PlanWarning,
+            stacklevel=3,
+        )
 
 
 @dataclass(frozen=True)

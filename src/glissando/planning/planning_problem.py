@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
@@ -81,8 +82,8 @@ class PlanningProblem:
         """Arclengths between which the first coil moves, m."""
         return float(self.lattice[0] + self.sensor.behind[-1]), float(self.lattice[-1])
 
-    def require_path(self, arclength: Array) -> None:
-        """Make sure that a path can be evaluated.
+    def require_path(self, arclength: ArrayLike) -> Array:
+        """Make sure that a path can be evaluated; returns it as an array.
 
         Args:
             arclength: Arclengths (T,) of the first coil at `times`, m.
@@ -90,7 +91,12 @@ class PlanningProblem:
         Raises:
             GlissandoError: They are too few or many, not finite, or beyond the reach.
         """
-        path, (low, high) = np.asarray(arclength), self.reach
+        try:
+            path, (low, high) = np.asarray(arclength, dtype=float), self.reach
+        except (TypeError, ValueError):
+            raise GlissandoError(
+                f"A path is a {type(arclength).__name__}; give its arclengths ({self.steps},), m."
+            ) from None
         if path.shape != (self.steps,) or not (
             low - _TOUCH <= path.min() and path.max() <= high + _TOUCH
         ):
@@ -99,6 +105,7 @@ class PlanningProblem:
                 f"A path of {path.shape} arclengths from {spread} cannot be evaluated; give "
                 f"({self.steps},), from {low:g} to {high:g} m."
             )
+        return path
 
     @property
     def zone_times(self) -> Array:
@@ -134,7 +141,7 @@ class PlanningProblem:
         Raises:
             GlissandoError: There is no such path.
         """
-        self.require_path(arclength)
+        arclength = self.require_path(arclength)
         times = self.sensor.reading_times(self.start, self.steps * self.step)
         place: Array = np.interp(times, self.times, arclength)
         return (prediction or self.ahead).after(self.sensor, place, times)

@@ -16,10 +16,11 @@ from numpy.typing import ArrayLike
 
 from glissando.errors import GlissandoError, PlanWarning
 from glissando.estimation.fixed_lag import FixedLagSmoother
+from glissando.estimation.given import require_kind, require_list
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.planning.belief import Belief, ExpectedMotion, belief_of
-from glissando.planning.objectives import Objective, Trace
+from glissando.planning.objectives import Objective, Trace, require_objective
 from glissando.planning.path_objective import path_objective_of
 from glissando.planning.path_space import PathSpace
 from glissando.planning.plan_slide import Plan, plan_slide
@@ -103,6 +104,10 @@ class Replanner:
     _warned: set[str] = field(default_factory=set, init=False)
 
     def __post_init__(self) -> None:
+        require_kind(self.sensor, SlidingSensor, "sensor", "give sliding_sensor(robot)")
+        require_kind(self.path_space, PathSpace, "path space", "give path_space_of(…)")
+        require_list(self.zones, Zone, "zones")
+        require_objective(self.objective, np.inf)
         self.route, self._least_lead = Route(self.path_space.start), self.lead
 
     @property

@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from glissando.errors import GlissandoError
+from glissando.estimation.given import require_list
 from glissando.geometry.se3 import Array
+from glissando.model.field_checks import is_number
 
 _POINTS = 5  # points of a zone across its arclengths
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -37,6 +39,12 @@ class MovingInterval:
     time: Interval
     first: Interval
     last: Interval
+
+    def __post_init__(self) -> None:
+        for interval in (self.time, self.first, self.last):
+            _require_interval(interval)
+        if not self.time[0] < self.time[1]:
+            raise GlissandoError(f"A zone cannot move within {self.time!r} s; give T0 < T1.")
 
     def __call__(self, time: Array) -> tuple[Array, Array]:
         """Lower and upper end (K,) at times (K,)."""
@@ -66,15 +74,12 @@ class Zone:
     weight: float = 1.0
 
     def __post_init__(self) -> None:
-        intervals = [self.time] + ([] if callable(self.arclength) else [self.arclength])
-        for interval in (i for i in intervals if i is not None):
-            if not (np.all(np.isfinite(interval)) and interval[0] <= interval[1]):
-                raise GlissandoError(
-                    f"A zone from {interval[0]:g} to {interval[1]:g} is empty; give the lower end "
-                    f"first."
-                )
-        if not (np.isfinite(self.weight) and self.weight > 0.0):
-            raise GlissandoError(f"A zone of weight {self.weight:g} cannot be; give one above 0.")
+        if not callable(self.arclength):
+            _require_interval(self.arclength)
+        if self.time is not None:
+            _require_interval(self.time)
+        if not (is_number(self.weight) and 0.0 < self.weight < np.inf):
+            raise GlissandoError(f"A zone of weight {self.weight!r} cannot be; give one above 0.")
 
     def ends(self, time: Array) -> tuple[Array, Array]:
         """Both ends (K,), m, at times (K,), also at times when the zone does not count."""
@@ -97,6 +102,19 @@ class Zone:
         return (low[:, None] + share * (high - low)[:, None]).ravel(), np.repeat(time, count)
 
 
+def _require_interval(given: object) -> None:
+    """Raise GlissandoError unless these are both ends of an interval, the lower one first."""
+    try:
+        low, high = (float(end) for end in given)  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        raise GlissandoError(
+            f"A zone from {given!r} cannot be; give both ends as (0.6, 0.7), in metres or seconds, "
+            f"or read_zone('0.6:0.7')."
+        ) from None
+    if not (np.isfinite([low, high]).all() and low <= high):
+        raise GlissandoError(f"A zone from {low:g} to {high:g} is empty; give the lower end first.")
+
+
 def zone_points(
     zones: Sequence[Zone], time: Array, span: Interval, length: float
 ) -> tuple[Array, Array, Array]:
@@ -114,6 +132,7 @@ def zone_points(
     Raises:
         GlissandoError: There is no zone, or one leaves the body or the time ahead.
     """
+    require_list(zones, Zone, "zones")
     if not zones:
         raise GlissandoError(
             f"No zone counts between {span[0]:g} and {span[1]:g} s; give one that does."

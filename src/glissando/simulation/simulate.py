@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from glissando.errors import SimulationError
 from glissando.io.shipped_robots import robot_file
+from glissando.model.field_checks import is_number
 from glissando.model.slide_path import SlidePath, read_slide
 from glissando.model.tendons.channel import Channel
 from glissando.simulation.bench import Bench, load_bench
@@ -25,10 +29,10 @@ _OPTIONS = {
 
 
 def simulate(
-    robot: str | Path = "sliding700",
+    robot: str | Path | Any = "sliding700",
     *,
     shape: str = "S",
-    slide: str = "oscillate",
+    slide: str | SlidePath = "oscillate",
     seed: int = 0,
     duration: float | None = None,
     without: Sequence[str] = (),
@@ -41,9 +45,10 @@ def simulate(
     """What the sensors of a robot with a sliding coil record, and what truly happened.
 
     Args:
-        robot: Name of a shipped robot, or path of a robot file with [physics].
+        robot: Name of a shipped robot, path of a robot file with [physics], or what `load_robot`
+            read from one.
         shape: Name of one of its shapes (straight, C, S, C-to-S), or a TOML file.
-        slide: hold, oscillate, traverse (a stage as long as the robot), or a CSV file.
+        slide: hold, oscillate, traverse (a stage as long as the robot), a CSV file, or a SlidePath.
         seed: Seed of all noise, from 0 up.
         duration: Seconds; until robot and slide stand still unless given.
         without: Imperfections to switch off, "all" for every one.
@@ -62,10 +67,17 @@ def simulate(
     >>> len(session.coil.time)
     21
     """
-    bench = load_bench(robot_file(robot))
-    if seed < 0:
-        raise SimulationError(f"Seed {seed} cannot be; give a whole number from 0 up.")
-    flaws = bench.flaws.without(*without)
+    file: Any = getattr(robot, "file", robot)
+    if not isinstance(file, str | Path):
+        raise SimulationError(
+            f"The robot is {robot!r}; give its name, or the robot file, which has [physics]."
+        )
+    bench = load_bench(robot_file(file))
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise SimulationError(f"Seed {seed!r} cannot be; give a whole number from 0 up.")
+    if not (duration is None or is_number(duration) or duration != duration):
+        raise SimulationError(f"A duration of {duration!r} cannot be; give seconds.")
+    flaws = bench.flaws.without(*((without,) if isinstance(without, str) else without))
     path = slide_path(bench, slide, duration, options)
     motion: Motion | DynamicMotion
     if dynamic:
@@ -88,13 +100,13 @@ def simulate(
 
 
 def slide_path(
-    bench: Bench, slide: str, duration: float | None, options: dict[str, float]
+    bench: Bench, slide: str | SlidePath, duration: float | None, options: dict[str, float]
 ) -> SlidePath:
     """The path of a named slide, or of a file, on the stage that it needs.
 
     Args:
         bench: The robot with its stages.
-        slide: hold, oscillate, traverse, or a CSV file.
+        slide: hold, oscillate, traverse, a CSV file, or the path itself.
         duration: Seconds that hold lasts.
         options: As those of `simulate`.
 
@@ -102,6 +114,8 @@ def slide_path(
         SimulationError: There is no such slide, or it does not take an option.
     """
     stage = bench.slide
+    if isinstance(slide, SlidePath):
+        return slide
     if slide not in _OPTIONS and not Path(slide).is_file():
         raise SimulationError(
             f"There is no slide named {slide!r} and no such file; give hold, oscillate, "
@@ -110,15 +124,18 @@ def slide_path(
     for option in options:
         if option not in _OPTIONS.get(slide, ()):
             raise SimulationError(
-                f"--{option} says nothing to --slide {slide}; leave it out or choose another slide."
+                f"{option} says nothing to the slide {slide}; leave it out or choose another slide."
             )
     if slide == "hold":
         return SlidePath.hold(options.get("at", 0.0), duration or _HOLD, stage)
     if slide not in _OPTIONS:
         return read_slide(Path(slide), stage, bench.rod.length + bench.coil_offset)
     stage, usual = (bench.full_slide, 1) if slide == "traverse" else (stage, 3)
+    cycles = options.get("cycles", usual)
+    if cycles != int(cycles):
+        raise SimulationError(f"{cycles:g} cycles cannot be; give a whole number.")
     return SlidePath.oscillate(
-        int(options.get("cycles", usual)),
+        int(cycles),
         options.get("stroke", stage.stroke),
         stage,
         speed=options.get("speed"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,31 @@ class Session:
     accelerometers: dict[str, Rows] = field(default_factory=dict)
     inertial_std: tuple[float, float] = (1.0, 1.0)
     channel: Channel | None = None
+
+    def streams(self) -> list[Stream]:
+        """All streams in the world frame, truth marked: `Recording.of` makes a recording of them.
+
+        Their noise is the robot file's where it is not stated.
+        """
+        coil = self.coil.sensor.in_frame(self.coil.values, self.T_wt)
+        rows = replace(self.coil, values=coil)
+        return [replace(s, rows=rows, frame="world") if s.name == "coil" else s for s in self._own]
+
+    @property
+    def _own(self) -> list[Stream]:
+        """The streams as they are recorded, the coil's in the tracker's frame."""
+        settings: dict[str, Any] = {"keep_repeats": True, "frame": "tracker"}
+        streams = [Stream("coil", self.coil, channel=self.channel, **settings)]
+        streams += [
+            Stream(name, rows, True, self.mocap_std, keep_repeats=True)
+            for name, rows in self.mocap.items()
+        ]
+        if self.tendons is not None:
+            streams.append(Stream("tendons", self.tendons, std=np.array([_TENDON_STD])))
+        inertial = self.gyros, self.accelerometers
+        for every, std in zip(inertial, self.inertial_std, strict=True):
+            streams += [Stream(name, rows, std=np.full(3, std)) for name, rows in every.items()]
+        return streams
 
 
 def simulate_session(
@@ -170,20 +195,9 @@ def write_session(session: Session, folder: Path, robot: str | Path, **more: Any
     are further fields of recording.toml. Raises
     SimulationError when the folder holds something already.
     """
-    settings: dict[str, Any] = {"keep_repeats": True, "frame": "tracker"}
-    streams = [Stream("coil", session.coil, channel=session.channel, **settings)]
-    streams += [
-        Stream(name, rows, True, session.mocap_std, keep_repeats=True)
-        for name, rows in session.mocap.items()
-    ]
-    if session.tendons is not None:
-        streams.append(Stream("tendons", session.tendons, std=np.array([_TENDON_STD])))
-    inertial = session.gyros, session.accelerometers
-    for every, std in zip(inertial, session.inertial_std, strict=True):
-        streams += [Stream(name, rows, std=np.full(3, std)) for name, rows in every.items()]
     with new_folder(folder, SimulationError) as building:
         frames = {"tracker": session.T_wt}
-        write_streams(building, session.name, streams, robot=robot, frames=frames, **more)
+        write_streams(building, session.name, session._own, robot=robot, frames=frames, **more)
         path = session.path
         knots = np.column_stack([path.time, path.displacement, path.speed])
         write_table(building / "slide_path.csv", ["time", "displacement", "speed"], knots)

@@ -138,7 +138,7 @@ class SensorParameter:
     def _numbers(self, part: str) -> Array:
         given = getattr(self, part)
         try:
-            numbers: Array = np.asarray(given, dtype=float)
+            numbers: Array = np.array(given, dtype=float)
             if given is not None and (part != "correlation_time" or numbers.ndim == 0):
                 return numbers
         except (TypeError, ValueError):

@@ -15,6 +15,7 @@ import numpy as np
 
 from glissando import __version__
 from glissando.estimation.confidence_tube import SIGMAS_95
+from glissando.estimation.given import require_kind, require_list
 from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
 from glissando.geometry.covariance import symmetric_root
@@ -58,6 +59,9 @@ def save_view(
         OutsideGridError: The window is off the grid.
         GlissandoError: The grid has a single arclength.
     """
+    require_kind(posterior, Posterior, "posterior", "give the estimate, and then the file")
+    for name, streams in (("readings", readings), ("truth", truth)):
+        require_list(streams, Readings, f"streams of {name}")
     scene = scene_of(posterior, readings, truth, window=window, progress=progress)
     path = Path(path)
     write_text(path, page(scene, title, subtitle(posterior, scene)))
