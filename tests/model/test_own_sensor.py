@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from glissando import Readings, estimate, load_robot
+from glissando import FixedLagSmoother, Readings, estimate, load_robot
 from glissando.errors import GlissandoError, SensorError
 from glissando.io.journal import Journal
 from glissando.io.recording_folder import load_recording, save_recording
@@ -159,3 +159,54 @@ def test_an_own_sensor_with_settings_is_planned_for_where_they_are_given(robot):
     np.testing.assert_allclose(read.values, [[np.linalg.norm(BEACON)]])
     with pytest.raises(GlissandoError, match="A range has a beacon that is not given"):
         sliding_sensor(planned, "range")
+
+
+def stated(jacobian):
+    """A range sensor that states its own derivative."""
+
+    def of(self, at):
+        away = at.pose[:, :3, 3] - self.beacon
+        axis = away / np.linalg.norm(away, axis=1, keepdims=True)
+        slopes = np.zeros((len(self), 1, 18))
+        slopes[:, 0, :3] = jacobian(axis, at)
+        return slopes
+
+    return type("Stated", (Range,), {"jacobian": of})
+
+
+def distances(kind):
+    tips = {"time": [0.0, 0.1], "arclength": [LENGTH] * 2, "values": [[0.5]] * 2, "cov": 1e-4}
+    return kind(**tips, beacon=BEACON, name="range")
+
+
+@pytest.mark.parametrize(
+    ("jacobian", "fits"),
+    [
+        (lambda axis, at: np.einsum("mi,mij->mj", axis, at.pose[:, :3, :3]), True),
+        (lambda axis, at: axis, False),
+        (lambda axis, at: -np.einsum("mi,mij->mj", axis, at.pose[:, :3, :3]), False),
+        (lambda axis, at: 0.0 * axis, False),
+    ],
+    ids=["body", "world", "sign", "none"],
+)
+def test_a_derivative_that_is_not_the_residuals_is_refused(jacobian, fits):
+    readings = [distances(stated(jacobian))]
+    smoother = FixedLagSmoother(KINEMATIC.prior, KINEMATIC.arclength_nodes)
+    for use in (
+        lambda: estimate(KINEMATIC.prior, KINEMATIC.grid(0.0, 0.2), readings),
+        lambda: smoother.add(readings[0]),
+    ):
+        if fits:
+            use()
+        else:
+            with pytest.raises(SensorError, match=r"jacobian\(at\) has .* leave jacobian out"):
+                use()
+
+
+def test_a_residual_that_is_rounded_says_so():
+    def residual(self, at):
+        return np.round(Range.residual(self, at), 2)
+
+    rounded = type("Rounded", (Range,), {"residual": residual})
+    with pytest.raises(SensorError, match="does not change with pose, strain or velocity"):
+        estimate(KINEMATIC.prior, KINEMATIC.grid(0.0, 0.2), [distances(rounded)])

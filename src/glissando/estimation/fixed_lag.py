@@ -24,6 +24,7 @@ from glissando.estimation.delays import delayed
 from glissando.estimation.given import (
     arclength_nodes,
     require_gate,
+    require_jacobians,
     require_model,
     require_stream,
     require_window,
@@ -115,6 +116,7 @@ class FixedLagSmoother:
             SensorError: The stream changed its kind.
         """
         require_stream(readings)
+        require_jacobians(self._window.prior, self.arclength, [readings])
         readings = corrected(readings, self._known)
         self._monitor.check_places(readings)
         if self._undelayed is not None and readings.name not in self._late:

@@ -24,6 +24,7 @@ from glissando.model.grid import SAME, Grid
 from glissando.model.mechanics import Mechanics, implausible
 from glissando.model.priors.prior import Prior
 from glissando.model.robot import LONGEST
+from glissando.model.sensors.own_jacobian import require_own_jacobian
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
@@ -60,6 +61,7 @@ def require_batch(
                 f"give a state of this grid."
             )
     require_base(prior, readings)
+    require_jacobians(prior, grid.arclength, readings)
     if len(readings) and not any(map(len, readings)):
         warnings.warn(
             f"None of the streams ({', '.join(r.label for r in readings)}) has a reading: the "
@@ -67,6 +69,15 @@ def require_batch(
             EstimateWarning,
             stacklevel=3,
         )
+
+
+def require_jacobians(prior: Prior, arclength: Array, readings: Sequence[Readings]) -> None:
+    """Raise SensorError where a sensor of one's own states a derivative of something else."""
+    own = [r for r in readings if not type(r).__module__.startswith("glissando.")]
+    if own:
+        rest = prior.rest_state(Grid(arclength, [0.0])).take(0)
+        for r in own:
+            require_own_jacobian(r, rest)
 
 
 def _require_once(readings: Sequence[Readings]) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from glissando.solver.gauss_newton import SolverOptions
 from glissando.solver.outcome import Outcome
 
 
@@ -52,6 +53,8 @@ class SolveReport:
             return self.outcome.sentence
         if self.outcome is Outcome.NO_DESCENT:  # the last step was damped to nothing
             return f"{self.outcome.sentence} after {self.iterations} iterations"
+        if self.last_step < SolverOptions.tolerance:
+            return f"{self.outcome.sentence}: {self.iterations} iterations, shortened to the last"
         return (
             f"{self.outcome.sentence}: {self.iterations} iterations, the last step still "
             f"{self.last_step:.2g} standard deviations long"

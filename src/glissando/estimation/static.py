@@ -19,6 +19,7 @@ from glissando.errors import OutsideGridError, UnobservableError
 from glissando.estimation.batch import estimate
 from glissando.estimation.given import (
     arclength_nodes,
+    require_jacobians,
     require_model,
     require_options,
     require_streams,
@@ -95,6 +96,7 @@ def estimate_static(
     arclength = arclength_nodes(arclength)
     require_model(prior, arclength)
     require_streams(readings)
+    require_jacobians(prior, arclength, readings)
     require_options(options)
     load_kernels(prior, "static_steps")
     given, options = [r for r in readings if len(r)], options or SolverOptions()

@@ -165,6 +165,7 @@ def test_a_senders_clock_that_is_off_ends_the_session_with_a_sentence(off, side)
         next(iter(session))
 
 
+@pytest.mark.filterwarnings("ignore:.* are left out:glissando.errors.EstimateWarning")
 def test_a_clock_that_is_set_on_the_way_is_named_once_patience_ends():
     source = Stamped(0.0)
     with LiveSession(ROBOT, [source], rate=20.0, patience=1.0) as session:

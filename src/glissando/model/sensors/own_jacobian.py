@@ -1,0 +1,55 @@
+"""Whether a sensor that states its own derivative states that of its residual."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from glissando.errors import SensorError
+from glissando.model.sensors.readings import Readings, numerical_jacobian
+from glissando.model.state import DOF, State
+
+_ROWS = 3  # that are looked at
+_MOVED = 0.1  # m, rad and so on, from rest, where many residuals have no slope
+_OFF = 1e-3  # of the largest slope of a reading, beyond which a derivative is another's
+
+_fitting: set[type] = set()  # classes that were looked at
+
+
+def require_own_jacobian(readings: Readings, rest: State) -> None:
+    """Raise SensorError where a sensor's jacobian(at) is not that of its residual(at), or none.
+
+    Sensors of the package are not looked at, others once a class.
+
+    Args:
+        readings: Readings of the sensor.
+        rest: A shape of the robot (N,).
+    """
+    kind = type(readings)
+    known = kind in _fitting or kind.__module__.startswith("glissando.")
+    if known or not len(readings) or not readings.reads_one_state:
+        return
+    few = readings.select(slice(0, _ROWS))
+    rng = np.random.default_rng(0)
+    at = rest.take(np.full(len(few), -1)).retract(_MOVED * rng.standard_normal((len(few), DOF)))
+    try:
+        differences = numerical_jacobian(few, at)
+    except (SensorError, ValueError, IndexError, TypeError):
+        return  # what is wrong with the residual is said where it is used
+    if not differences.any():
+        raise SensorError(
+            f"{readings.label}: residual(at) does not change with pose, strain or velocity, so its "
+            f"readings say nothing; leave rounding out of it, and use `at`."
+        )
+    own = np.asarray(few.jacobian(at))
+    if own.shape != differences.shape or not np.isfinite(differences).all():
+        return
+    scale = 1.0 + np.abs(differences).max(axis=(-1, -2), keepdims=True)
+    gap = np.abs(own - differences)
+    if not np.all(gap <= _OFF * scale):
+        row, line, column = np.unravel_index(int(np.argmax(gap / scale)), gap.shape)
+        raise SensorError(
+            f"{readings.label}: jacobian(at) has {own[row, line, column]:.4g} in column {column}, "
+            f"and residual(at) changes by {differences[row, line, column]:.4g} there; poses are "
+            f"perturbed on the right, in the body's axes. Correct it, or leave jacobian out."
+        )
+    _fitting.add(kind)
