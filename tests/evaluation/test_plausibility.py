@@ -11,6 +11,7 @@ from glissando import CoilReadings, GyroReadings, PoseReadings, load_robot, se3
 from glissando.errors import GlissandoError, ImplausibleError, OutsideGridError
 from glissando.evaluation.plausibility.examine import examine
 from glissando.evaluation.plausibility.finding import CHECKS, Finding, refuse
+from glissando.evaluation.plausibility.noise import check_noise
 from glissando.model.sensors.accelerometer import AccelerometerReadings
 from scenes import LENGTH, angular_velocity, arc
 
@@ -43,6 +44,21 @@ def test_a_right_session_passes_with_and_without_truth(session):
     robot, sensors, truth, frames = session
     assert not found(robot, sensors, truth, frames, window=(0.0, 5.0))
     assert not found(robot, sensors)
+
+
+def test_noise_of_a_coil_is_seen_whatever_its_roll():
+    """A tracker of five degrees of freedom may report any."""
+    time, std = np.arange(0.0, 8.0, 0.025), np.repeat([7e-4, 6e-3], [3, 2])
+    error, roll = np.zeros((2, time.size, 6))
+    error[:, :5] = std * RNG.standard_normal((time.size, 5))
+    roll[:, 5] = RNG.uniform(-np.pi, np.pi, time.size)
+    place = np.full(time.size, LENGTH)
+    values = arc(place, time) @ se3.exp(error) @ se3.exp(roll)
+    coil = CoilReadings(time=time, arclength=place, values=values, cov=std**2, name="coil")
+    assert not list(check_noise([coil], LENGTH))
+    surer = replace(coil, cov=np.repeat([std[0], 4e-4], [3, 2]) ** 2)
+    (finding,) = check_noise([surer], LENGTH)
+    assert "rad in angles, less than such sensors err" in finding.sentence
 
 
 def test_a_stream_far_from_the_base_is_refused_whatever_else_is_wrong(session):

@@ -18,6 +18,7 @@ from glissando.model.state import State
 _RESTARTS = 10  # of a window, after which it is asked whether most times were such
 _UNIT = 20.0  # lengths of the robot: farther along it is another unit
 _LOST, _MOST = 20, 0.9  # readings of a stream, and share of them, that are out of time by mistake
+_BEGINNING = 6  # updates: what came before the first lies before the window
 _REACH, _AT_BASE = 1.4, 0.1  # of arclength and of length: farther from the base no robot stretches
 
 
@@ -52,6 +53,8 @@ class OnlineMonitor:
 
     def check_times(self, dropped: Mapping[str, Mapping[str, int]]) -> None:
         """Look at how many readings of each stream were out of time, by what was `dropped`."""
+        if self._advances < _BEGINNING:
+            return
         for label, counts in dropped.items():
             lost = counts.get("late", 0) + counts.get("ahead", 0)
             if lost < max(_LOST, _MOST * self._given[label]) or label in self._untimely:

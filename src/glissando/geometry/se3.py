@@ -201,3 +201,12 @@ def _matrices(kernel: Callable[..., Array], *vectors: Array) -> Array:
     """What a kernel makes (…, 6, 6) of six-vectors (…, 6) of one shape."""
     lead = vectors[0].shape[:-1]
     return kernel(*(items(each, lead, 6) for each in vectors)).reshape(*lead, 6, 6)
+
+
+def least_turn(axis: Array) -> Array:
+    """The least rotations (M, 3, 3) that take z onto axes (M, 3)."""
+    lean = np.stack([-axis[:, 1], axis[:, 0], np.zeros(len(axis))], axis=-1)
+    sine = np.linalg.norm(lean, axis=1, keepdims=True)
+    angle = np.arctan2(sine, axis[:, 2:])
+    lean = np.where(sine > 1e-12, angle * lean / np.maximum(sine, 1e-12), [1.0, 0.0, 0.0] * angle)
+    return so3_exp(lean)

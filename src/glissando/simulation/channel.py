@@ -59,19 +59,10 @@ def poses_in(channel: Tendon, motion: Motion | DynamicMotion, travel: Array, tim
     tangent = _along(channel, place, at.strain)
     axis = tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
     position = channel.path(place)[0] + (travel - inside)[:, None] * axis
-    return at.pose @ se3.pose(least_turn(axis), position)
+    return at.pose @ se3.pose(se3.least_turn(axis), position)
 
 
 def _along(channel: Tendon, arclength: Array, strain: Array) -> Array:
     """Tangent (…, P, 3) of a channel at arclengths (P,) in the rod's frame there."""
     place, slope = channel.path(arclength)
     return strain[..., :3] + np.cross(strain[..., 3:], place) + slope
-
-
-def least_turn(axis: Array) -> Array:
-    """The least rotations (M, 3, 3) that take z onto axes (M, 3)."""
-    lean = np.stack([-axis[:, 1], axis[:, 0], np.zeros(len(axis))], axis=-1)
-    sine = np.linalg.norm(lean, axis=1, keepdims=True)
-    angle = np.arctan2(sine, axis[:, 2:])
-    lean = np.where(sine > 1e-12, angle * lean / np.maximum(sine, 1e-12), [1.0, 0.0, 0.0] * angle)
-    return se3.so3_exp(lean)

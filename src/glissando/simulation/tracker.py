@@ -12,7 +12,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.csv_stream import Rows
 from glissando.model.slide_path import SlidePath
-from glissando.simulation.channel import least_turn, poses_in, straight_length
+from glissando.simulation.channel import poses_in, straight_length
 from glissando.simulation.drive_tube import STEP, DriveTube
 from glissando.simulation.dynamics.motion import DynamicMotion
 from glissando.simulation.imperfections import Imperfections, SmoothField
@@ -156,7 +156,7 @@ def rolled(pose: Array, roll: str, rng: np.random.Generator) -> Array:
         return pose @ se3.exp(turn)
     axis = pose[:, :3, 2]  # least rotation that takes the tracker's z onto the coil's
     out = np.array(pose)
-    out[:, :3, :3] = least_turn(axis)
+    out[:, :3, :3] = se3.least_turn(axis)
     return out
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from glissando.evaluation.plausibility.finding import Finding
+from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
 
@@ -71,8 +72,8 @@ def _scatter(seen: float, unit: str) -> str:
 def _parts(r: Readings, length: float) -> Iterator[tuple[str, slice, float, float]]:
     """Parts of a reading: what it is, its rows, the largest noise it can have, the noise seen."""
     if r.kind in ("pose", "coil"):
-        inverse = np.swapaxes(r.values[:, :3, :3], -1, -2)
-        steps = inverse[:-1] @ r.values[1:, :3, :3]
+        rotation = _without_roll(r) if r.kind == "coil" else r.values[:, :3, :3]
+        steps = np.swapaxes(rotation[:-1], -1, -2) @ rotation[1:]
         turn = np.stack([steps[:, 2, 1], steps[:, 0, 2], steps[:, 1, 0]], axis=-1)
         yield "positions", slice(0, 3), _LENGTHS * length, _at_rest(r, r.values[:, :3, 3], 0)
         columns = slice(0, 2) if r.kind == "coil" else slice(0, 3)
@@ -81,6 +82,14 @@ def _parts(r: Readings, length: float) -> Iterator[tuple[str, slice, float, floa
         yield "positions", slice(0, 3), _LENGTHS * length, _at_rest(r, r.values, 0)
     elif r.kind == "gyro":
         yield "turn rates", slice(0, 3), _RATE, 0.0  # a vibrating robot turns like white noise
+
+
+def _without_roll(r: Readings) -> Array:
+    """Rotations (M, 3, 3) of a coil's axis, whose readings may be of any roll."""
+    axis = r.values[:, :3, 2]
+    middle = axis.mean(axis=0)
+    turn = se3.least_turn(middle[None] / max(float(np.linalg.norm(middle)), 1e-12))[0]
+    return turn @ se3.least_turn(axis @ turn)
 
 
 def _at_rest(r: Readings, values: Array, order: int) -> float:

@@ -99,7 +99,7 @@ class LiveSession:
         self._heard = 0.0
         self._timely: set[str] = set()
         self._off: dict[str, str] = {}  # of sources, how their stamps are wrong
-        self._lag = nodes / rate
+        self._lag = self.smoother.lag / rate
         self.waiting: Callable[[str], None] | None = None
 
     def __enter__(self) -> Self:

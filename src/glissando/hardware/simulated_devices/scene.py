@@ -17,7 +17,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_file import new_file
 from glissando.model.tendons.channel import Channel
-from glissando.simulation.channel import least_turn, routed
+from glissando.simulation.channel import routed
 from glissando.simulation.imperfections import Imperfections
 from glissando.simulation.motion import Motion
 
@@ -113,7 +113,7 @@ class Scene:
         out = self.pose(at, time)[0]
         axis = out[:3, :3].T @ (along / np.linalg.norm(along))
         position = channel.path(at)[0][0] + (travel - inside) * axis
-        return np.asarray(out @ se3.pose(least_turn(axis[None])[0], position))
+        return np.asarray(out @ se3.pose(se3.least_turn(axis[None])[0], position))
 
     def save(self, path: Path) -> None:
         """Write the scene as NPZ: time, arclength, T_wb and, as JSON, everything else."""
