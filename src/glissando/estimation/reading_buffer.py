@@ -104,10 +104,10 @@ class ReadingBuffer:
 
     def _frozen(self, readings: Readings) -> np.ndarray | None:
         """Rows whose values are those of the row before; none of a stream that never changed."""
-        label, values, place, time = (
-            readings.label, readings.values, readings.arclength, readings.time,
-        )  # fmt: skip
-        before, last = self._last.get(label), time == time[-1]  # a stream may read several places
+        label, values, place = readings.label, readings.values, readings.arclength
+        time, before = readings.time, self._last.get(label)
+        several = len(time) > 1 and time[-2] == time[-1]  # places, at one moment
+        last = time == time[-1] if several else slice(-1, None)
         self._last[label] = values[last], place[last]
         count = 0 if before is None else len(before[0])
         if before is not None:
@@ -115,16 +115,18 @@ class ReadingBuffer:
                 self._measured.add(label)
                 return None
             values, place = np.concatenate([before[0], values]), np.concatenate([before[1], place])
-        again = readings.repeated(values, place)
-        if max(count, int(last.sum())) > 1:  # places are compared with themselves
+        flat = values.reshape(len(values), -1)
+        if several or count > 1:  # places are compared with themselves
             order = np.argsort(place, kind="stable")
-            compared = order[1:][np.diff(place[order]) == 0.0]
+            flat = flat[order]
+            same = (flat[1:] == flat[:-1]).all(axis=1)[np.diff(place[order]) == 0.0]
         else:
-            compared = np.arange(1, len(values))
-        if not again[compared].all():
+            same = (flat[1:] == flat[:-1]).all(axis=1)
+        if not same.all():
             self._measured.add(label)
-        elif label not in self._measured:
-            again[:] = False
+        if not (same.any() and label in self._measured):
+            return None
+        again = readings.repeated(values, place)
         return again[count:]
 
     def due(self, until: float) -> np.ndarray:
