@@ -9,7 +9,7 @@ pose, strain and velocity with their covariance anywhere along the robot, any ti
 >>> grid = uniform_grid(robot.length, nodes=5, start=0.0, stop=1.0, rate=10.0)
 >>> tip = np.tile(np.eye(4), (11, 1, 1))
 >>> tip[:, 2, 3] = 0.466
->>> coil = CoilReadings(time=np.linspace(0, 1, 11), arclength=np.full(11, 0.466), values=tip,
+>>> coil = CoilReadings(time=np.linspace(0, 1, 11), arclength=0.466, values=tip,
 ...                     cov=[1e-6, 1e-6, 1e-6, 1e-4, 1e-4])
 >>> posterior = estimate(robot.prior, grid, [coil])
 >>> at = posterior.at(arclength=[0.233, 0.466], time=0.5)

@@ -36,7 +36,7 @@ MISTAKES = {
     "arclength of row 1 is nan; drop that row": {"arclength": NAN},
     "values of row 2 is .*inf.*; drop that row": {"values": np.diag([0.0, 0.0, np.inf])},
     "must share their first length; give one of each a row": {"time": np.zeros(2)},
-    r"arclength \(\) and .* must share their first length": {"arclength": 0.0},
+    r"arclength \(2,\) and .* must share their first length": {"arclength": np.zeros(2)},
     "give a variance, 3 variances, or a 3×3 matrix": {"cov": np.ones(5)},
     r"give a variance, 3 variances, .* \(one, or one a reading\)": {"cov": np.ones((3, 2))},
     "not positive definite; give every row a variance above zero": {"cov": 0.0},
@@ -124,13 +124,17 @@ def test_arrays_that_numpy_would_stretch_to_fit_are_refused(mistake):
 
 
 class DeafReadings(Readings):
-    """A sensor that hears nothing of the state."""
+    """A sensor that hears nothing of the state, and says so."""
 
     rows = 1
 
     def residual(self, at):
         """The reading itself."""
         return self.values[:, None]
+
+    def jacobian(self, at):
+        """Of nothing."""
+        return np.zeros((len(self), 1, 18))
 
 
 def test_a_sensor_that_hears_nothing_changes_nothing():

@@ -225,3 +225,34 @@ def test_a_loop_that_uses_no_reading_for_their_times_says_so_once(ahead):
     with pytest.warns(EstimateWarning, match="of coil are left out: they lie before") as said:
         loop()
     assert len(said) == 1
+
+
+def test_a_sensor_that_stays_is_given_its_arclength_once():
+    tip = coil(arclength=ROBOT.length)
+    np.testing.assert_array_equal(tip.arclength, np.full(5, ROBOT.length))
+    assert len(tip.select(slice(1, 3))) == 2
+
+
+def test_what_holds_arrays_is_shown_in_a_line_and_is_itself_alone():
+    posterior = estimate(ROBOT.prior, ROBOT.grid(0.0, 1.0), [coil()])
+    session = simulate(SLIDING, slide="hold", duration=0.5)
+    smoother = FixedLagSmoother(ROBOT.prior, ROBOT.arclength_nodes)
+    at = posterior.at(0.2, 0.5)
+    for thing in (ROBOT, posterior, session, smoother, at, posterior.grid, coil()):
+        assert len(repr(thing)) < 1500
+        assert thing == thing
+        assert thing in {thing}
+    assert coil() != coil()
+    assert "before its first update" in repr(smoother)
+    smoother.add(coil())
+    smoother.advance(1.0)
+    assert "at 1 s, window 4, fits True" in repr(smoother)
+
+
+def test_an_estimate_states_every_deviation():
+    posterior = estimate(ROBOT.prior, ROBOT.grid(0.0, 1.0), [coil()])
+    at = posterior.at([0.2, 0.4], 0.5)
+    std = np.sqrt(np.diagonal(at.cov, axis1=-2, axis2=-1))
+    np.testing.assert_allclose(at.std_rotation, np.linalg.norm(std[:, 3:6], axis=1))
+    np.testing.assert_allclose(at.std_strain, std[:, 6:12])
+    np.testing.assert_allclose(at.std_velocity, std[:, 12:])

@@ -101,6 +101,14 @@ class FixedLagSmoother:
             self._window.date_by(undelayed)
             self._undelayed = WindowSteps(undelayed, window + 2, gate)
 
+    def __repr__(self) -> str:
+        time = "before its first update" if self.time is None else f"at {self.time:.6g} s"
+        lost = sum(count.total() for count in self.dropped.values())
+        return (
+            f"<FixedLagSmoother {time}, window {self.lag}, fits {self.fits}, {lost} readings "
+            f"dropped>"
+        )
+
     @property
     def time(self) -> float | None:
         """Time of the newest node, None before the first."""

@@ -68,6 +68,25 @@ class StateEstimate(ShortRepr):
         """Root of the total position variance (…), metres."""
         return np.sqrt(np.einsum("...ii->...", self.position_covariance()))
 
+    @property
+    def std_rotation(self) -> Array:
+        """Root of the total rotation variance (…), radians."""
+        return np.sqrt(np.einsum("...ii->...", self.cov[..., 3:6, 3:6]))
+
+    @property
+    def std_strain(self) -> Array:
+        """Standard deviations (…, 6) of the strain, [linear (1), angular (rad/m)]."""
+        return self._std[..., 6:12]
+
+    @property
+    def std_velocity(self) -> Array:
+        """Standard deviations (…, 6) of the velocity, [linear (m/s), angular (rad/s)]."""
+        return self._std[..., 12:18]
+
+    @property
+    def _std(self) -> Array:
+        return np.sqrt(np.diagonal(self.cov, axis1=-2, axis2=-1))
+
 
 def state_at(
     prior: Prior,

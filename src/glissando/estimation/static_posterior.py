@@ -22,6 +22,7 @@ from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.static import STATIC_DOF
 from glissando.model.priors.transitions import symmetrize
+from glissando.model.short_repr import ShortRepr
 from glissando.model.state import DOF, State
 from glissando.solver.outcome import Outcome
 
@@ -29,7 +30,7 @@ _DOFS = slice(0, STATIC_DOF)
 
 
 @dataclass(frozen=True)
-class StaticPosterior:
+class StaticPosterior(ShortRepr):
     """Posterior of S static shapes: pose and strain at any arclength.
 
     Attributes:

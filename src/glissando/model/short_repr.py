@@ -12,11 +12,16 @@ _FEW, _LONGEST = 6, 100  # numbers of an array, and letters of a value, that are
 
 
 class ShortRepr:
-    """A base of dataclasses whose repr gives the shapes of arrays and the sizes of lists."""
+    """A base of dataclasses whose repr gives the shapes of arrays and the sizes of lists.
+
+    They are equal only to themselves: whether arrays are alike is no single truth.
+    """
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
         cls.__repr__ = _brief  # type: ignore[method-assign]
+        cls.__eq__ = object.__eq__  # type: ignore[method-assign]
+        cls.__hash__ = object.__hash__  # type: ignore[method-assign]
 
 
 def _brief(thing: Any) -> str:

@@ -16,6 +16,7 @@ from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError, PlanWarning
 from glissando.estimation.given import require_kind
 from glissando.geometry.se3 import Array
+from glissando.model.short_repr import ShortRepr
 from glissando.model.slide_path import SlideLimits, SlidePath
 from glissando.planning.optimize import descend, is_inside
 from glissando.planning.path_objective import PathObjective
@@ -31,7 +32,7 @@ _DRAWN = 0.1  # share of the way to the middle path that a start is drawn, to be
 
 
 @dataclass(frozen=True)
-class Plan:
+class Plan(ShortRepr):
     """A planned path with its predicted value.
 
     Attributes:

@@ -22,6 +22,7 @@ from glissando.model.noise import sqrt_information
 from glissando.model.priors.transitions import symmetrize
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameter_process import EstimatedParameters
+from glissando.model.short_repr import ShortRepr
 from glissando.planning.belief import BeliefSource, ExpectedMotion, belief_of
 from glissando.planning.modes import Modes, find_modes
 from glissando.planning.prediction import PredictedInformation, Rows, look_ahead
@@ -35,7 +36,7 @@ _NODES = 100  # time steps of the grid ahead, if the estimate's are finer
 
 
 @dataclass(frozen=True)
-class PlanningProblem:
+class PlanningProblem(ShortRepr):
     """The time ahead as a planner sees it: the sensor reads once in each step.
 
     Attributes:

@@ -14,6 +14,7 @@ from glissando.io.atomic_file import write_table
 from glissando.io.atomic_folder import new_folder
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.recording_writer import write_streams
+from glissando.model.short_repr import ShortRepr
 from glissando.model.slide_path import SlidePath
 from glissando.model.tendons.channel import Channel
 from glissando.simulation.bench import Bench
@@ -30,7 +31,7 @@ _LONGEST = 100_000.0  # s
 
 
 @dataclass(frozen=True)
-class Session:
+class Session(ShortRepr):
     """What the sensors of one run record, and what truly happened.
 
     Attributes:

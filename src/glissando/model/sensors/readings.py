@@ -45,7 +45,7 @@ class Readings(ShortRepr):
 
     Attributes:
         time: Times (M,), s.
-        arclength: Arclengths (M,), m.
+        arclength: Arclengths (M,), m, or one of a sensor that stays where it is.
         values: Values (M, …), SI units and radians, in the world frame where a frame matters.
         cov: A variance, `rows` variances, or a matrix (rows, rows) or (M, rows, rows).
         mount: Pose T_bc (4, 4), or (M, 4, 4), of the sensor in the cross-section's frame.
@@ -171,6 +171,8 @@ class Readings(ShortRepr):
                     f"{self.label}: {given} of row {bad[0]} is {array[bad[0]]}; drop that row."
                 )
         count = self.time.shape
+        if self.arclength.ndim == 0:  # of a sensor that stays where it is
+            object.__setattr__(self, "arclength", np.full(count, self.arclength))
         if not count == self.arclength.shape == self.values.shape[:1]:
             raise SensorError(
                 f"{self.label}: time {count}, arclength {self.arclength.shape} and values "
