@@ -77,6 +77,7 @@ def test_what_was_learned_is_a_robot_file_that_estimate_takes(recording, tmp_pat
     assert json.loads(capsys.readouterr().out)["robot"] == "tdcr466"
 
 
+@pytest.mark.slow
 def test_constants_found_jointly_are_written_as_known_without_the_truths_delay(
     recording, tmp_path, capsys, in_process
 ):
@@ -109,6 +110,7 @@ def test_constants_that_were_found_are_found_anew(recording, tmp_path, capsys, i
     np.testing.assert_allclose(values[0], values[1], atol=3e-3)
 
 
+@pytest.mark.slow
 def test_truth_in_millimetres_is_refused_before_anything_is_learned(
     recording, tmp_path, capsys, in_process
 ):

@@ -119,6 +119,7 @@ def test_a_journal_that_heard_nothing_ends_in_a_sentence(tmp_path, monkeypatch, 
     assert [path.name for path in tmp_path.iterdir()] == ["log"]
 
 
+@pytest.mark.slow
 def test_a_delay_that_no_other_stream_determines_is_said_to_be_as_it_was_stated(
     recording, robot, tmp_path, capsys
 ):

@@ -97,6 +97,7 @@ def test_a_tracker_in_another_frame_has_other_shapes_tried_rarely(monkeypatch):
     assert 1 <= len(tried) <= 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tdcr466", "sliding700"])
 def test_a_robot_beyond_its_reach_is_said_to_be_so_once_and_does_not_fit(name):
     """A coil in a frame 0.6 m off is followed as closely as a right one, and as sure."""

@@ -85,6 +85,7 @@ def test_spoiled_readings_do_not_count_where_they_are_refused_or_forgiven():
     assert not estimated([first, middle, tip])[0].solve.doubt
 
 
+@pytest.mark.slow
 def test_time_nodes_that_are_too_close_are_named():
     robot, time = load_robot("tdcr466-segments"), np.linspace(0.0, 1.0, 21)
     tip = readings(PoseReadings, "tip", robot.length, time, cov=1e-4, seed=3)

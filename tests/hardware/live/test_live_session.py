@@ -165,6 +165,7 @@ def test_a_senders_clock_that_is_off_ends_the_session_with_a_sentence(off, side)
         next(iter(session))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.* are left out:glissando.errors.EstimateWarning")
 def test_a_clock_that_is_set_on_the_way_is_named_once_patience_ends():
     source = Stamped(0.0)
@@ -176,12 +177,14 @@ def test_a_clock_that_is_set_on_the_way_is_named_once_patience_ends():
             list(islice(updates, 100))
 
 
+@pytest.mark.slow
 def test_stamps_ahead_of_this_clock_are_named_though_they_are_used():
     with LiveSession(ROBOT, [Stamped(0.3)], rate=20.0) as session:
         said = list(islice(session, 10))[-1].problems
     assert "s ahead of this computer's clock, so the shape is of another moment" in said[0]
 
 
+@pytest.mark.slow
 def test_readings_from_before_the_window_are_none_unless_updates_wait_for_them():
     why, session = (
         "before the window of 0.2 s: .* give a delay",
@@ -193,12 +196,14 @@ def test_readings_from_before_the_window_are_none_unless_updates_wait_for_them()
         assert list(islice(session, 10))[-1].problems == ()
 
 
+@pytest.mark.slow
 def test_what_came_during_a_pause_of_its_reader_counts_before_patience_ends():
     with LiveSession(ROBOT, [Stamped(0.0)], rate=20.0, patience=0.3) as session:
         for _ in islice(session, 3):
             time.sleep(0.5)
 
 
+@pytest.mark.slow
 def test_patience_begins_when_no_source_is_busy_any_more():
     class Homing(Stamped):
         busy = True
