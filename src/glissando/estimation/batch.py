@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -21,7 +20,7 @@ from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
 from glissando.estimation.given import require_batch, require_gate
 from glissando.estimation.misfit import breakdown, misfit_sentence, worst_readings
-from glissando.estimation.outliers import CHANCE, Mask, judged, used_at_first
+from glissando.estimation.outliers import CHANCE, Mask, distinct_labels, judged, used_at_first
 from glissando.estimation.place_evidence import by_evidence
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.several_starts import Start, StartProblem, best_end, start_at
@@ -278,18 +277,9 @@ class _Problem:
         return [r.select(rows) for r, rows in zip(self.readings, used, strict=True)]
 
     def left_out(self, used: Sequence[Mask]) -> dict[str, list[int]]:
-        """Rows of each stream that were not used, of streams that have such rows.
-
-        Of several streams of one label the second is "label 2".
-        """
-        out, labels = {}, Counter[str]()
-        for r, rows in zip(self.readings, used, strict=True):
-            labels[r.label] += 1
-            number = labels[r.label]
-            if not rows.all():
-                name = r.label if number == 1 else f"{r.label} {number}"
-                out[name] = np.flatnonzero(~rows).tolist()
-        return out
+        """Rows of each stream that were not used, of streams that have such rows."""
+        pairs = zip(distinct_labels(self.readings), used, strict=True)
+        return {name: np.flatnonzero(~rows).tolist() for name, rows in pairs if not rows.all()}
 
 
 def _after(before: int, progress: Progress | None) -> Progress | None:

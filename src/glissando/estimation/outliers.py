@@ -99,6 +99,13 @@ def _off_line(when: Array, around: Array, own: Array, *, level: bool) -> tuple[A
     return np.linalg.norm(own - middle, axis=1), spread
 
 
+def distinct_labels(readings: Sequence[Readings]) -> list[str]:
+    """Labels of streams, told apart: of several that are alike the second is "label 2"."""
+    labels = [r.label for r in readings]
+    counts = [labels[: i + 1].count(label) for i, label in enumerate(labels)]
+    return [label if n == 1 else f"{label} {n}" for label, n in zip(labels, counts, strict=True)]
+
+
 def used_at_first(readings: Readings, gate: float | None) -> Mask:
     """Which readings (M,) the first solve uses: no spikes, unless nothing is to be left out."""
     if gate is None or readings.loss is not None:

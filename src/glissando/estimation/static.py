@@ -25,7 +25,7 @@ from glissando.estimation.given import (
     require_streams,
 )
 from glissando.estimation.misfit import unreachable_readings
-from glissando.estimation.outliers import unlikely
+from glissando.estimation.outliers import distinct_labels, unlikely
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.starting_point import with_convex_losses
 from glissando.estimation.static_iteration import Solved, iterate, node_covariances
@@ -142,9 +142,9 @@ def _complete(
         outcomes[k] = one.solve.outcome
         state.pose[k], state.strain[k] = one.state.pose[0], one.state.strain[0]
         cov[k], cross[k] = _node_blocks(one)
-        for r in readings:
+        for r, name in zip(readings, distinct_labels(readings), strict=True):
             rows = np.flatnonzero(r.time == k)
-            refused[r.label] += rows[one.solve.refused.get(r.label, [])].tolist()
+            refused[name] += rows[one.solve.refused.get(name, [])].tolist()
     return tuple(outcomes), {name: rows for name, rows in refused.items() if rows}
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
@@ -28,8 +28,16 @@ _OPTIONS = {
 """Options that each named slide takes; a file takes none."""
 
 
+class _FromFile(Protocol):
+    """What was read from a robot file, such as a Robot."""
+
+    @property
+    def file(self) -> Path | None:
+        """The file."""
+
+
 def simulate(
-    robot: str | Path | Any = "sliding700",
+    robot: str | Path | _FromFile = "sliding700",
     *,
     shape: str = "S",
     slide: str | SlidePath = "oscillate",
@@ -67,7 +75,7 @@ def simulate(
     >>> len(session.coil.time)
     21
     """
-    file: Any = getattr(robot, "file", robot)
+    file = robot if isinstance(robot, str | Path) else getattr(robot, "file", None)
     if not isinstance(file, str | Path):
         raise SimulationError(
             f"The robot is {robot!r}; give its name, or the robot file, which has [physics]."
