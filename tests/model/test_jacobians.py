@@ -10,7 +10,7 @@ from glissando.model.grid import Grid
 from glissando.model.interpolation import sort_points
 from glissando.model.priors.steps import ARCLENGTH, TIME
 from glissando.model.sensors import sensors
-from glissando.model.sensors.readings import numerical_jacobian
+from glissando.model.sensors.numerical_jacobian import numerical_jacobian
 from glissando.model.state import DOF, State
 from glissando.solver.located_readings import locate
 from glissando.solver.measurement_factors import measurement_factors

@@ -11,7 +11,7 @@ from glissando.errors import SensorError
 from glissando.estimation.batch import estimate
 from glissando.geometry import se3
 from glissando.model.grid import Grid
-from glissando.model.sensors.readings import numerical_jacobian
+from glissando.model.sensors.numerical_jacobian import numerical_jacobian
 from glissando.model.sensors.sensors import (
     CoilReadings,
     FbgReadings,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
@@ -41,3 +42,12 @@ def require_rotations(label: str, values: Array) -> None:
             f"{label}: row {int(np.argmin(sound))} is no rigid motion; give rotation matrices "
             f"(orthonormal, right-handed), poses with a last row 0 0 0 1."
         )
+
+
+def repeats_at_place(columns: Array, arclength: Array) -> NDArray[np.bool_]:
+    """Which rows (M,) of columns (M, C) repeat the row before them at the same arclength (M,)."""
+    again = np.zeros(len(columns), dtype=bool)
+    order = np.argsort(arclength, kind="stable")
+    here = np.diff(arclength[order]) == 0.0
+    again[order[1:]] = here & np.all(columns[order[1:]] == columns[order[:-1]], axis=1)
+    return again

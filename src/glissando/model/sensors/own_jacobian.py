@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from glissando.errors import SensorError
-from glissando.model.sensors.readings import Readings, numerical_jacobian
+from glissando.model.sensors.numerical_jacobian import numerical_jacobian
+from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, State
 
 _ROWS = 3  # that are looked at

@@ -1,4 +1,4 @@
-"""What every sensor shares: its declaration, a batch of readings, a numerical Jacobian.
+"""What every sensor shares: its declaration, and a batch of readings.
 
 A sensor is a dataclass of readings with a residual, about twenty lines. Subclass `Readings` with a
 `kind`, declare `rows` and `columns`, write `residual(at)`; `jacobian(at)` is optional and is
@@ -20,9 +20,10 @@ from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.noise import Loss, covariance_matrix
-from glissando.model.sensors.given_arrays import numbers, require_rotations
+from glissando.model.sensors.given_arrays import numbers, repeats_at_place, require_rotations
+from glissando.model.sensors.numerical_jacobian import numerical_jacobian
 from glissando.model.short_repr import ShortRepr
-from glissando.model.state import DOF, State
+from glissando.model.state import State
 from glissando.model.tendons.channel import Channel
 
 _ROUNDED = 1e-3  # s by which times may not round
@@ -327,39 +328,3 @@ class Readings(ShortRepr):
     def jacobian_over(self, arclength: Array, at: State) -> Array:
         """∂residual/∂[pose, strain, velocity] of the places (M, rows, N, 18), of what `spans`."""
         raise NotImplementedError(f"{type(self).__name__} must define jacobian_over(s, at).")
-
-
-def numerical_jacobian(readings: Readings, at: State) -> Array:
-    """Central differences of a sensor's residual (M, rows, 18), checked at two step sizes.
-
-    A piecewise constant residual has no useful slope; give such a sensor a smooth one.
-
-    Raises:
-        SensorError: The two differ, so the residual is not smooth there.
-    """
-    jacobians = []
-    for step in (1e-5, 4e-5):
-        columns = []
-        for move in step * np.eye(DOF):
-            ahead = readings.residual(at.retract(move))
-            columns.append((ahead - readings.residual(at.retract(-move))) / (2.0 * step))
-        jacobians.append(np.stack(columns, axis=-1))
-    gap = np.abs(jacobians[0] - jacobians[1])
-    scale = 1.0 + np.abs(jacobians[0]).max(axis=(-1, -2), keepdims=True)
-    if not np.all(gap <= 1e-5 * scale):
-        row = int(np.unravel_index(np.argmax(gap / scale), gap.shape)[0])
-        raise SensorError(
-            f"{readings.label}: the residual of row {row} is not smooth where it was taken "
-            f"(difference quotients differ by {gap[row].max():.2g}). Write jacobian(at), or a "
-            f"residual without jumps (wrap angles with a logarithm)."
-        )
-    return jacobians[0]
-
-
-def repeats_at_place(columns: Array, arclength: Array) -> NDArray[np.bool_]:
-    """Which rows (M,) of columns (M, C) repeat the row before them at the same arclength (M,)."""
-    again = np.zeros(len(columns), dtype=bool)
-    order = np.argsort(arclength, kind="stable")
-    here = np.diff(arclength[order]) == 0.0
-    again[order[1:]] = here & np.all(columns[order[1:]] == columns[order[:-1]], axis=1)
-    return again

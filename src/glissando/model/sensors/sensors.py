@@ -15,8 +15,8 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.accelerometer import AccelerometerReadings as AccelerometerReadings
 from glissando.model.sensors.compiled_readings import CompiledReadings
-from glissando.model.sensors.given_arrays import numbers
-from glissando.model.sensors.readings import SENSORS, Readings, repeats_at_place
+from glissando.model.sensors.given_arrays import numbers, repeats_at_place
+from glissando.model.sensors.readings import SENSORS, Readings
 from glissando.model.sensors.tendons import TendonReadings as TendonReadings
 from glissando.model.state import DOF, STRAIN, State
 
