@@ -106,6 +106,29 @@ def plan_slide(
     Warns:
         PlanWarning: No start is worth more than another.
     """
+    _require_plannable(objective, path_space, speed_weight)
+    targets = starts(path_space, zones, objective.problem.start, seed)
+    if warm_start is not None:
+        targets["warm start"] = warm_start
+    paths = path_space.follow(np.stack(list(targets.values())))
+    if iterations is None:
+        iterations = max(_ITERATIONS, path_space.steps // _STEPS)
+    search = _Search(objective, path_space, speed_weight)
+    with one_thread():
+        values = [search.value(path) for path in paths]
+        _warn_of_flat(values)
+        ranked = [(paths[i], values[i]) for i in np.argsort(values)]
+        control, value = search.best_from(ranked, candidates, iterations)
+    return Plan(
+        objective.problem.times, path_space.arclength(control), control, path_space, float(value),
+        dict(zip(targets, map(float, values), strict=True)),
+    )  # fmt: skip
+
+
+def _require_plannable(
+    objective: PathObjective, path_space: PathSpace, speed_weight: float
+) -> None:
+    """Raise GlissandoError unless these are an objective and a space of the same steps."""
     require_kind(objective, PathObjective, "objective of a path", "give path_objective_of(…)")
     require_kind(path_space, PathSpace, "path space", "give path_space_of(…)")
     problem = objective.problem
@@ -118,28 +141,6 @@ def plan_slide(
         raise GlissandoError(
             f"A speed's weight of {speed_weight:g} s² cannot be; give 0 or more, finite."
         )
-    targets = starts(path_space, zones, problem.start, seed)
-    if warm_start is not None:
-        targets["warm start"] = warm_start
-    paths = path_space.follow(np.stack(list(targets.values())))
-    if iterations is None:
-        iterations = max(_ITERATIONS, path_space.steps // _STEPS)
-    search = _Search(objective, path_space, speed_weight)
-    with one_thread():
-        values = [search.value(path) for path in paths]
-        _warn_of_flat(values)
-        ranked = [(paths[i], values[i]) for i in np.argsort(values)]
-        apart = _ALIKE * (path_space.upper - path_space.lower)
-        improved = [
-            search.improve(path, max(1, iterations // _BRIEFLY))
-            for path in _distinct([path for path, _ in ranked], apart, candidates)
-        ]
-        best = min([ranked[0], *improved], key=itemgetter(1))
-        control, value = min(best, search.improve(best[0], iterations), key=itemgetter(1))
-    return Plan(
-        problem.times, path_space.arclength(control), control, path_space, float(value),
-        dict(zip(targets, map(float, values), strict=True)),
-    )  # fmt: skip
 
 
 def starts(
@@ -201,6 +202,24 @@ class _Search:
         """Value of a path with control points (T + 2,)."""
         value = self.objective.value(self.path_space.arclength(control))
         return value + self.speed_weight * self._mean_square_speed(control)[0]
+
+    def best_from(
+        self, ranked: Sequence[tuple[Array, float]], candidates: int, iterations: int
+    ) -> tuple[Array, float]:
+        """The best path, and its value, by improving the best starts that differ, then the best.
+
+        Args:
+            ranked: Control points (T + 2,) of starts with their values, the best first.
+            candidates: How many of them are improved.
+            iterations: Iterations at most for the best of these.
+        """
+        apart = _ALIKE * (self.path_space.upper - self.path_space.lower)
+        improved = [
+            self.improve(path, max(1, iterations // _BRIEFLY))
+            for path in _distinct([path for path, _ in ranked], apart, candidates)
+        ]
+        best = min([ranked[0], *improved], key=itemgetter(1))
+        return min(best, self.improve(best[0], iterations), key=itemgetter(1))
 
     def improve(self, control: Array, iterations: int) -> tuple[Array, float]:
         """A better path from one within the limits, and its value."""

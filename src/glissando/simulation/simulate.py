@@ -75,16 +75,8 @@ def simulate(
     >>> len(session.coil.time)
     21
     """
-    file = robot if isinstance(robot, str | Path) else getattr(robot, "file", None)
-    if not isinstance(file, str | Path):
-        raise SimulationError(
-            f"The robot is {robot!r}; give its name, or the robot file, which has [physics]."
-        )
-    bench = load_bench(robot_file(file))
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise SimulationError(f"Seed {seed!r} cannot be; give a whole number from 0 up.")
-    if not (duration is None or is_number(duration) or duration != duration):
-        raise SimulationError(f"A duration of {duration!r} cannot be; give seconds.")
+    bench = _bench_of(robot)
+    _require_numbers(seed, duration)
     flaws = bench.flaws.without(*((without,) if isinstance(without, str) else without))
     path = slide_path(bench, slide, duration, options)
     motion: Motion | DynamicMotion
@@ -95,16 +87,27 @@ def simulate(
     else:
         motion = bench.move(bench.shape(shape), flaws, seed)
     return simulate_session(
-        bench,
-        motion,
-        path,
-        seed=seed,
-        duration=duration,
-        flaws=flaws,
-        name=name,
-        tendons=tendons,
-        channel=channel,
-    )
+        bench, motion, path, seed=seed, duration=duration, flaws=flaws, name=name,
+        tendons=tendons, channel=channel,
+    )  # fmt: skip
+
+
+def _bench_of(robot: str | Path | _FromFile) -> Bench:
+    """The bench of a robot by its name, its file, or what was read from that."""
+    file = robot if isinstance(robot, str | Path) else getattr(robot, "file", None)
+    if not isinstance(file, str | Path):
+        raise SimulationError(
+            f"The robot is {robot!r}; give its name, or the robot file, which has [physics]."
+        )
+    return load_bench(robot_file(file))
+
+
+def _require_numbers(seed: int, duration: float | None) -> None:
+    """Raise SimulationError for a seed or a duration that is no number."""
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise SimulationError(f"Seed {seed!r} cannot be; give a whole number from 0 up.")
+    if not (duration is None or is_number(duration) or duration != duration):
+        raise SimulationError(f"A duration of {duration!r} cannot be; give seconds.")
 
 
 def slide_path(
