@@ -16,6 +16,7 @@ from .geometry import se3
 from .io.netcdf import load_posterior, save_posterior
 from .io.recording_folder import load_recording
 from .io.robot_file import load_robot
+from .io.robot_writer import save_robot
 from .model.grid import Grid, uniform_grid
 from .model.noise import GemanMcClure, Huber
 from .model.priors.separable import BaseVariance, SeparablePrior
@@ -79,6 +80,7 @@ __all__ = [
     "plan_slide",
     "sample_static",
     "save_posterior",
+    "save_robot",
     "save_view",
     "se3",
     "simulate",

@@ -36,10 +36,11 @@ OLD_KINDS = {
 }
 """Kinds of priors and of sensor parameters by the names of files of before."""
 _NODES = 10_000  # along a robot: more is another unit
-_LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
+LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
     "huber": Huber,
     "geman-mcclure": GemanMcClure,
 }
+"""Robust losses by the names that files give them."""
 
 
 def load_robot(name: str | Path) -> Robot:
@@ -192,7 +193,12 @@ def _sensor_parameter(table: Table) -> SensorParameter:
     name, kind = table.text("name"), table.text("kind", choices=SIZES)
     size = SIZES[kind]
     value = table.vector("value", size, np.zeros(size), pairs=False)
-    std = table.vector("std", size, np.zeros(size), positive=True)
+    uncertain = table.peek("std") is not None
+    std = table.vector("std", size, np.zeros(size))
+    if np.any(std < 0.0) or (uncertain and not np.any(std)):
+        raise table.fail(
+            "std", f"is {std.tolist()}; give numbers above zero, and 0 for those that are known."
+        )
     drifts = table.peek("correlation_time") is not None
     memory = table.number("correlation_time", 1.0)
     streams = tuple(table.texts("streams"))
@@ -217,9 +223,9 @@ def _sensors(
             ranges[kind] = sensor.number("clip")
         if sensor.peek("rate") is not None:
             rates[kind] = sensor.number("rate")
-        name = sensor.text("loss", "none", choices=("none", *_LOSSES))
+        name = sensor.text("loss", "none", choices=("none", *LOSSES))
         if name != "none":
-            loss = _LOSSES[name]
+            loss = LOSSES[name]
             losses[kind] = loss(sensor.number("threshold", loss().threshold))
         sensor.close()
     return std, losses, ranges, rates

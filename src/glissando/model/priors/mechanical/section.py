@@ -182,7 +182,12 @@ def _blurred(information: Array, noise: Array) -> Array:
 
 
 def _inverse(information: Array) -> Array:
-    """Covariance (M, 12, 12), by numbers of one size."""
-    scale = 1.0 / np.sqrt(np.einsum("mii->mi", information))
+    """Covariance (M, 12, 12), by numbers of one size.
+
+    Of rods so wound up that rounding leaves no information it is no number, and the solver takes a
+    shorter step.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = 1.0 / np.sqrt(np.einsum("mii->mi", information))
     even = np.linalg.inv(scale[:, :, None] * information * scale[:, None, :])
     return scale[:, :, None] * even * scale[:, None, :]
