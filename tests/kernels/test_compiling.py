@@ -100,6 +100,28 @@ print(len(white_noise.write_rows.compiled.overloads))
 """
 
 
+OPTIMIZED = """
+from numba.core.codegen import JITCodeLibrary
+
+optimized, optimize = [], JITCodeLibrary._optimize_final_module
+JITCodeLibrary._optimize_final_module = lambda self: (optimized.append(self.name), optimize(self))
+from glissando._kernels import compile, jit, se3
+
+compile.translate_whole_kernels_only(jit.called_from_python())
+jit._dispatchers()
+se3.log.compile()
+print(*optimized)
+"""
+
+
+@pytest.mark.slow
+def test_what_only_kernels_call_is_no_work_of_its_own(tmp_path):
+    environment = {**os.environ, "GLISSANDO_CACHE": str(tmp_path)}
+    command = [sys.executable, "-c", OPTIMIZED]
+    run = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+    assert run.stdout.split() == ["log"]  # of the dozen functions that it is made of
+
+
 @pytest.mark.slow
 def test_what_is_compiled_is_always_the_same(tmp_path):
     """Else results would differ in the last digit between machines, and between copies on one."""

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import sys
+from collections.abc import Collection
 from pathlib import Path
+from typing import Any
 
 from glissando._kernels import (  # noqa: F401  (importing them makes their kernels known)
     block_tridiagonal,
@@ -29,7 +32,58 @@ from glissando._kernels import (  # noqa: F401  (importing them makes their kern
     white_noise_points,
     window,
 )
-from glissando._kernels.jit import compile_named
+from glissando._kernels.jit import called_from_python, compile_named
+
+_GARBAGE = 100_000  # objects between collections: hardly any that a compiler makes is garbage
+
+
+def translate_whole_kernels_only(names: Collection[str]) -> None:
+    """Let numba optimise and translate functions that only kernels call as parts of those alone.
+
+    It does so for each of them, too, and nobody calls what that makes: two fifths of the work. This
+    changes numba's insides in this process, which ends when it has compiled; where they are other
+    ones, all is compiled as always.
+
+    Args:
+        names: Functions that are called from Python.
+    """
+    from numba.core import codegen
+
+    library: Any = getattr(codegen, "JITCodeLibrary", None)
+    engine: Any = getattr(codegen, "JITCPUCodegen", None)
+    changed = ("_optimize_final_module", "_finalize_final_module", "get_pointer_to_function")
+    if not all(hasattr(library, name) for name in changed) or not hasattr(engine, "set_env"):
+        return
+    optimize, finalize, pointer = (getattr(library, name) for name in changed)
+    set_environment = engine.set_env
+
+    def optimize_whole(self: Any) -> None:
+        if self.name in names:
+            optimize(self)
+
+    def finalize_whole(self: Any) -> None:
+        if self.name in names:
+            finalize(self)
+            return
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def pointer_to_whole(self: Any, name: str) -> int:
+        self._ensure_finalized()
+        return int(pointer(self, name)) if self.name in names else 0
+
+    def set_environment_of_whole(self: Any, name: str, environment: Any) -> None:
+        if self._engine.is_symbol_defined(name):
+            set_environment(self, name, environment)
+
+    for name, function in zip(
+        changed, (optimize_whole, finalize_whole, pointer_to_whole), strict=True
+    ):
+        setattr(library, name, function)
+    engine.set_env = set_environment_of_whole
+
 
 if __name__ == "__main__":
+    gc.set_threshold(_GARBAGE)
+    translate_whole_kernels_only(called_from_python())
     compile_named(Path(sys.argv[1]), sys.argv[2:])

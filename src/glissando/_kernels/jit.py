@@ -133,6 +133,11 @@ def load(*modules: str) -> None:
             kernel.function.__globals__[kernel.function.__name__] = kernel.compiled
 
 
+def called_from_python() -> set[str]:
+    """Names of the functions, of modules imported so far, that are called from Python."""
+    return {kernel.function.__qualname__ for kernel in _KERNELS if kernel.signatures}
+
+
 def compile_named(claims: Path, names: Sequence[str]) -> None:
     """Compile some kernels into the cache: what `load` asks of other processes.
 
