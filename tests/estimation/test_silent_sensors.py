@@ -34,6 +34,32 @@ def test_what_was_learned_of_a_sensor_outlives_the_silence():
     assert np.all(np.diagonal(cov_after[-1]) <= 1.3 * np.diagonal(cov[-1]) + 1e-6)
 
 
+@pytest.mark.parametrize("every", [2, 3])
+def test_a_slow_sensor_holds_the_shape_while_the_tip_is_silent(every):
+    """A window that began anew at rest would throw away what it reads."""
+    robot, rng = load_robot("tdcr466"), np.random.default_rng(every)
+    wide = replace(robot.prior, psd_strain_arclength=30.0 * robot.prior.psd_strain_arclength)
+    smoother = FixedLagSmoother(wide, robot.arclength_nodes)
+    middle, off, spread = robot.length / 4, [], []
+    for k in range(135):
+        time = STEP * k
+        curvature = (1.0 + 0.2 * np.sin(time)) / robot.length
+        if not 2.0 < time < 4.5:
+            smoother.add(coil(rng, time, tip(robot.length, curvature, 0.0), robot.length))
+        true = tip(middle, curvature, 0.0)[:3, 3]
+        if k % every == 0:
+            seen = (true + 5e-4 * rng.standard_normal(3))[None]
+            smoother.add(PositionReadings(time=[time], arclength=middle, values=seen, cov=2.5e-7))
+        smoother.advance(time)
+        if time > 2.5:
+            at = smoother.at(middle, time)
+            off.append(np.linalg.norm(at.position - true))
+            spread.append(at.std_position)
+    assert smoother.restarts == 0
+    assert max(off) < 5e-3
+    assert max(spread) < 0.05  # and 0.096 at rest
+
+
 def drifting_bias(seed, pause, memory=0.3, std=0.02):
     """Squared errors of a marker's drifting bias, in their covariance, after a pause."""
     robot, rng = load_robot("tdcr466"), np.random.default_rng(seed)

@@ -109,7 +109,7 @@ class WindowSteps:
                 window.append(newest)
                 first = max(0, len(window.nodes) - 2)
                 window.solve(first, self.buffer.since(window.since(first)))
-                if newest < time and self._pause.is_at_rest(self._spread(window)):
+                if newest < time and self._pause.is_at_rest(self._spread(window), newest):
                     _begin_at_rest(window, newest)
                     break
         return window
@@ -158,7 +158,10 @@ class WindowSteps:
                 with suppress(NotLinearError):
                     self.window.settle()
             if fresh.total():
+                curved = self._pause.curved
                 self._pause.end(before, newest)
+                if curved:  # what was read may be elsewhere
+                    self._pause.note(self._spread(self.window))
             elif self._started:
                 self._note_pause(newest)
             self._marginalize()  # the Schur complement of what leaves (20)
@@ -190,7 +193,8 @@ class WindowSteps:
         """A single node at rest."""
         window = self.window
         window.lone = self._pause.lone
-        self._started = self._pause.curved = False
+        self._started = False
+        self._pause.begin_at_rest()
         first = window.prior.fixes_base and not self._pause.has_rest
         _begin_at_rest(window, time, solve=first)
         if first:
@@ -217,7 +221,7 @@ class WindowSteps:
         """Begin again where the newest state is no better known than that of a robot at rest."""
         spread = self._spread(self.window)
         self._pause.note(spread)
-        if self._pause.is_at_rest(spread):
+        if self._pause.is_at_rest(spread, newest):
             self._restart(newest, Counter())
 
     @property
