@@ -128,7 +128,7 @@ def variations(file, recording, window, use):
             "rmse": 1e3 * told["position_rmse"],
             "inside": told["coverage95_position"],
             "nees": told["nees_position"],
-            "log_evidence": run.posterior.solve.log_evidence,
+            "log_evidence": run.posterior.log_evidence,
             "converged": run.posterior.solve.converged,
         }
 

@@ -102,7 +102,7 @@ def fitted(make, simplex, evaluations, grid, readings):
 
     def miss(numbers):
         try:
-            return -estimate(make(numbers), grid, readings, gate=None).solve.log_evidence
+            return -estimate(make(numbers), grid, readings, gate=None).log_evidence
         except (GlissandoError, np.linalg.LinAlgError):
             return 1e9
 

@@ -130,7 +130,7 @@ def test_the_evidence_is_that_of_a_robot_with_and_without_a_force():
     for points, var in ((np.zeros(0), np.zeros((0, 6))), (np.array([node]), variance[None])):
         prior = replace(PRIOR, points=points, var_points=var)
         logs.append(estimate(prior, Grid(NODES, [0.0]), [readings]))
-    expected = logs[1].solve.log_evidence - logs[0].solve.log_evidence
+    expected = logs[1].log_evidence - logs[0].log_evidence
     scan = scan_contacts(logs[0], 0.0, std_force=STD)
     near = np.argsort(np.abs(scan.arclength - node))[:2]
     assert np.mean(scan.log_ratio[near]) == pytest.approx(expected, abs=0.1)

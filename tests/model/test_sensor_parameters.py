@@ -258,7 +258,7 @@ def test_unknowns_of_streams_that_are_not_there_change_nothing():
         np.testing.assert_array_equal(getattr(plain.state, field), getattr(other.state, field))
     np.testing.assert_array_equal(plain.marginals.cov, other.marginals.cov)
     assert len(other.sensor_parameters) == 0
-    assert plain.solve.log_evidence == other.solve.log_evidence
+    assert plain.log_evidence == other.log_evidence
 
 
 # Files.

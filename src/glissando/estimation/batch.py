@@ -219,7 +219,7 @@ class _Problem:
 
     def known_by(self, solution: Solution) -> Posterior:
         """The posterior of a solution, whose factor it overwrites."""
-        evidence = _log_evidence(solution)  # (22)
+        log_fit = _log_fit(solution)  # (22)
         with one_thread(), self.clock("covariance"):
             marginals = solution.cholesky.marginals(consume=True)  # (21)
             marginals = transported(solution.equations.state, solution.state, marginals)  # (35)
@@ -229,7 +229,7 @@ class _Problem:
             solution.state,
             solution.equations.system,
             marginals,
-            _report(self.prior, solution, evidence, self.clock),
+            _report(self.prior, solution, log_fit, self.clock),
             solution.located.parameters.by_name(),
             (solution.equations.state, solution.equations.noise_state),
         )
@@ -289,12 +289,12 @@ def _after(before: int, progress: Progress | None) -> Progress | None:
     return lambda iteration, cost, length: progress(before + iteration, cost, length)
 
 
-def _log_evidence(solution: Solution) -> float:
-    """The Laplace log marginal likelihood, up to a constant. Source: equation (22)."""
+def _log_fit(solution: Solution) -> float:
+    """The log evidence but for what the prior's factors leave out. Source: equation (22)."""
     return -solution.cost - 0.5 * (solution.equations.log_det_noise + solution.cholesky.log_det)
 
 
-def _report(prior: Prior, solution: Solution, log_evidence: float, clock: Stopwatch) -> SolveReport:
+def _report(prior: Prior, solution: Solution, log_fit: float, clock: Stopwatch) -> SolveReport:
     """The record of the solve that goes with the posterior."""
     at = solution.equations
     suspects = sum(int(np.sum(terms.robust_weights() < 0.5)) for terms in at.terms)
@@ -304,7 +304,7 @@ def _report(prior: Prior, solution: Solution, log_evidence: float, clock: Stopwa
         solution.last_step,
         at.rhs.size,
         solution.cost,
-        log_evidence,
+        log_fit,
         suspects,
         clock.total(),
         worst="" if solution.outcome.sound else worst_readings(solution),

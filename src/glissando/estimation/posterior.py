@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
+from glissando.estimation.evidence import log_normalizer
 from glissando.estimation.loads import (
     WrenchEstimate,
     internal_wrench,
@@ -67,6 +68,18 @@ class Posterior(ShortRepr):
         with one_thread():
             marginals = factor(self.system.add_to_diagonal(held)).marginals(consume=True)
             return transported(self.linearization_point, self.state, marginals)
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Laplace's log marginal likelihood of the readings, up to a constant of these readings.
+
+        It compares robot files on the same readings and nodes. Source: equation (22).
+
+        Raises:
+            UnobservableError: The prior alone leaves states undetermined.
+        """
+        states = self.linearized or (self.state, self.state)
+        return self.solve.log_fit + log_normalizer(self.prior, self.grid, *states)
 
     @property
     def linearization_point(self) -> State:

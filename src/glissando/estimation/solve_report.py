@@ -21,7 +21,8 @@ class SolveReport:
         last_step: Length of the last step, posterior standard deviations.
         unknowns: How many numbers were estimated.
         cost: Half the sum of squared whitened residuals, or of their losses.
-        log_evidence: Laplace log marginal likelihood up to a constant (equation 22).
+        log_fit: −cost − ½ log det of the noise and of the system, of which the prior's factors make
+            the log evidence (equation 22), `Posterior.log_evidence`.
         suspects: How many readings a robust loss gave less than half their weight.
         seconds: Processor time by phase; empty of a posterior that was loaded.
         refused: Rows of each stream that were not used, as all other readings refute them.
@@ -34,7 +35,7 @@ class SolveReport:
     last_step: float
     unknowns: int
     cost: float
-    log_evidence: float
+    log_fit: float
     suspects: int
     seconds: dict[str, float] = field(compare=False)
     refused: dict[str, list[int]] = field(default_factory=dict)
@@ -73,4 +74,6 @@ class SolveReport:
             status = table.pop("status")
             named = {"converged": "CONVERGED", "online": "UPDATED"}
             table |= {"outcome": named.get(status, "ITERATION_LIMIT"), "last_step": np.nan}
+        if "log_evidence" in table:  # which lacked what the prior's factors leave out
+            table["log_fit"] = table.pop("log_evidence")
         return SolveReport(**{"seconds": {}, **table, "outcome": Outcome[table["outcome"]]})

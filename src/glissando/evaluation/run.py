@@ -10,7 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from glissando.errors import ImplausibleError, OtherTimesWarning, RecordingError
+from glissando.errors import (
+    ImplausibleError,
+    OtherTimesWarning,
+    RecordingError,
+    UnobservableError,
+)
 from glissando.estimation.batch import estimate
 from glissando.estimation.channels import placed
 from glissando.estimation.posterior import Posterior
@@ -95,6 +100,13 @@ class Run(ShortRepr):
         rows = self.posterior.solve.refused
         return {r.label: r.time[rows[r.label]].tolist() for r in self.readings if r.label in rows}
 
+    def _log_evidence(self) -> float | None:
+        """The log evidence (22), if the prior alone says enough of all states."""
+        try:
+            return self.posterior.log_evidence
+        except (np.linalg.LinAlgError, UnobservableError):
+            return None
+
     def as_json(self) -> dict[str, Any]:
         """The run's settings and results as JSON holds them, SI units and radians."""
         solve = self.posterior.solve
@@ -109,7 +121,7 @@ class Run(ShortRepr):
             "unknowns": solve.unknowns,
             "calibration": self.sensor_parameters(),
             "readings": {r.label: len(r) for r in self.readings},
-            "log_evidence": solve.log_evidence,
+            "log_evidence": self._log_evidence(),
             "suspects": solve.suspects,
             "doubt": solve.doubt,
             "refused": self.refused(),

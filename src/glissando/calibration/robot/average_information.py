@@ -1,12 +1,13 @@
 """What readings tell of parameters, by how those change the evidence at an estimate.
 
-The slope of the evidence (22) is that of its terms where the estimate is: by Fisher's identity the
-estimate may be held. With A the information of the states, P = A⁻¹, R the covariances of all
-residuals e and an index for a derivative, minus the evidence has the slope
-½ ∂(eᵀR⁻¹e) + ½ tr(P ∂A) + ½ ∂ log det R. Its curvature is the average of the observed and of the
-expected information, which takes first derivatives alone (Gilmour, Thompson and Cullis, Average
-information REML, Biometrics 51, 1995): with the changes m = eᵢ of means and u = Rᵢ R⁻¹ e of
-covariances, and what the states explain taken off, mᵀR⁻¹m + ½ uᵀR⁻¹u.
+With A the information of the states, A₀ that of the prior alone and R the covariances of all
+residuals e, for log det those of the readings, minus the evidence (22) has the slope of
+½ eᵀR⁻¹e where the estimate is held, which is where that is least, and that of
+½ (log det A − log det A₀ + log det R) where the estimate moves on by a Gauss–Newton step. Its
+curvature is the average of the observed and of the expected information, which takes first
+derivatives alone (Gilmour, Thompson and Cullis, Average information REML, Biometrics 51, 1995):
+with the changes m of means e and u = (∂R) R⁻¹ e of covariances, and what the states explain taken
+off, mᵀR⁻¹m + ½ uᵀR⁻¹u.
 """
 
 from __future__ import annotations
@@ -21,12 +22,15 @@ from glissando.calibration.robot.hyperparameters import Document
 from glissando.calibration.robot.predictive import Start
 from glissando.errors import GlissandoError
 from glissando.estimation.channels import place_in_channel
+from glissando.estimation.evidence import prior_equations, proper
 from glissando.estimation.starting_point import with_parameters
 from glissando.geometry.se3 import Array
 from glissando.io.robot_file import parse_robot
 from glissando.model.factors import Residuals
+from glissando.model.priors.prior import Prior
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import corrected
+from glissando.model.state import State
 from glissando.model.table import Table
 from glissando.solver.block_tridiagonal import factor
 from glissando.solver.linearize import NormalEquations, linearize
@@ -46,7 +50,7 @@ class Change(NamedTuple):
 
     Attributes:
         misfit: Slope of ½ eᵀR⁻¹e.
-        width: Slope of ½ (log det A + log det R).
+        width: Slope of ½ (log det A − log det A₀ + log det R).
         shift: By how many standard deviations, over all residuals, it moves their means.
         left: Changes whose products with `right` of another parameter are information.
         right: The same, with what the states explain solved for.
@@ -60,9 +64,9 @@ class Change(NamedTuple):
 
     def halfway_to(self, other: Change) -> Change:
         """The mean of two changes."""
-        shift, width = 0.5 * (self.shift + other.shift), 0.5 * (self.width + other.width)
+        misfit, shift = 0.5 * (self.misfit + other.misfit), 0.5 * (self.shift + other.shift)
         left, right = 0.5 * (self.left + other.left), 0.5 * (self.right + other.right)
-        return Change(0.5 * (self.misfit + other.misfit), width, shift, left, right)
+        return Change(misfit, 0.5 * (self.width + other.width), shift, left, right)
 
 
 def slopes(changes: Sequence[Change | None], count: int) -> tuple[Array, Array]:
@@ -117,19 +121,24 @@ class EvidenceAt:
             finely: The same, moved by `FINE` and back by as much, which are taken where it moves
                 means by much.
         """
-        change = self._change(nudged, NUDGE)
-        if NUDGE * change.shift < _STILL:
-            return change
-        forth, back = map(self._change, finely, (FINE, -FINE))
-        return forth.halfway_to(back)
+        change, width = self._change(nudged, NUDGE), self._width(nudged)
+        if NUDGE * change.shift >= _STILL:
+            forth, back = map(self._change, finely, (FINE, -FINE))
+            change = forth.halfway_to(back)
+        return change._replace(width=width)
 
     def _change(self, document: Document, nudge: float) -> Change:
         """What changes from there to another robot file, by one unit of its `nudge`."""
         robot = _robot(document)
         parts = [case.change(robot, nudge) for case in self._cases]
-        misfit, width = (sum(getattr(part, n) for part in parts) for n in ("misfit", "width"))
+        misfit, shift = sum(part.misfit for part in parts), [part.shift for part in parts]
         left, right = (np.concatenate([getattr(p, n) for p in parts]) for n in ("left", "right"))
-        return Change(misfit, width, float(np.hypot.reduce([p.shift for p in parts])), left, right)
+        return Change(misfit, 0.0, float(np.hypot.reduce(shift)), left, right)
+
+    def _width(self, document: Document) -> float:
+        """What changes of log determinants to a robot file, by one unit of its `NUDGE`."""
+        robot = _robot(document)
+        return sum(case.change_of_width(robot, NUDGE) for case in self._cases)
 
 
 class _Linearized:
@@ -143,10 +152,9 @@ class _Linearized:
         self._memory = np.empty(system_shape(located.grid.time.size, size))
         here = linearize(prior, located, self._state, self._state, np.empty_like(self._memory))
         self._cholesky = factor(here.system)
-        self._known = self._cholesky.marginals()
         self._terms, self._rhs = here.terms, here.rhs
         self._left_to_go = self._cholesky.solve(here.rhs)
-        self._misfit, self._width = _cost(here), self._width_of(here)
+        self._misfit, self._width = _cost(here), self._width_of(here, robot)
 
     def _located(self, robot: Robot) -> LocatedReadings:
         """The readings where the estimate puts them."""
@@ -157,22 +165,31 @@ class _Linearized:
         located = locate(grid, placed, robot.sensor_parameters)
         return with_parameters(located, self._start.sensor_parameters)
 
-    def _width_of(self, at: NormalEquations) -> float:
-        """½ (log det R + tr(P A)), with P as it was when linearised.
+    def _width_of(self, at: NormalEquations, robot: Robot) -> float:
+        """½ (log det A − log det A₀ + log det R); of R the prior's part is in A₀."""
+        grid, prior = self._case.grid(robot), robot.prior
+        alone = proper(prior, prior_equations(prior, grid, at.state, at.state))
+        log_det = at.log_det_noise - sum(terms.log_det_cov() for terms in at.prior_terms())
+        return 0.5 * (log_det + factor(at.system).log_det - factor(alone).log_det)
 
-        There tr(P A) is the number of states but for rounding, which a nudge would magnify: so it
-        is summed there as well.
-        """
-        trace = np.vdot(at.system.diagonal, self._known.cov)
-        trace += 2.0 * np.vdot(at.system.lower, self._known.cross.swapaxes(1, 2))
-        return float(0.5 * (at.log_det_noise + trace))
+    def change_of_width(self, robot: Robot, nudge: float) -> float:
+        """What changes of log determinants to another robot and its estimate, by its `nudge`."""
+        there = linearize(*self._problem(robot))
+        step = self._cholesky.solve(there.rhs - self._rhs)
+        of_nodes, of_parameters = there.split(step)
+        state, located = self._state.retract(of_nodes), there.located.moved(of_parameters)
+        moved = linearize(robot.prior, located, state, state, self._memory)
+        return (self._width_of(moved, robot) - self._width) / nudge
+
+    def _problem(self, robot: Robot) -> tuple[Prior, LocatedReadings, State, State, Array]:
+        """What is linearised for another robot where the estimate is."""
+        return robot.prior, self._located(robot), self._state, self._state, self._memory
 
     def change(self, robot: Robot, nudge: float) -> Change:
         """What changes to another robot, by one unit of its `nudge`."""
-        problem = robot.prior, self._located(robot), self._state, self._state, self._memory
+        problem = self._problem(robot)
         there = linearize(*problem)
         further = np.vdot(self._left_to_go, there.rhs - self._rhs)
-        width = (self._width_of(there) - self._width) / nudge
         means, held = _shifted(self._terms, there.terms) / nudge, self._rhs
         misfit = float(_cost(there) - further - self._misfit) / nudge
         if means.any():
@@ -187,7 +204,7 @@ class _Linearized:
             left += [share * own, -share * of_states.ravel()]
             right += [share * own, share * self._cholesky.solve(of_states).ravel()]
         shift = float(np.linalg.norm(means))
-        return Change(misfit, width, shift, np.concatenate(left), np.concatenate(right))
+        return Change(misfit, 0.0, shift, np.concatenate(left), np.concatenate(right))
 
 
 def _robot(document: Document) -> Robot:

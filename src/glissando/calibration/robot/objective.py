@@ -99,7 +99,7 @@ class Objective:
             score = self._predictive(posteriors, truths, about.score.constants)
         else:
             count = sum(len(r) * r.row_count for each in readings for r in each)
-            total = sum(posterior.solve.log_evidence for posterior in posteriors)
+            total = sum(posterior.log_evidence for posterior in posteriors)
             score = Score(total / count, count, count)
         return Centre(score, [Start.of(posterior) for posterior in posteriors])
 

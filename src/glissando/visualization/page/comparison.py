@@ -209,7 +209,7 @@ def _setting(report: dict[str, Any]) -> Iterable[tuple[str, str]]:
     yield "window (s)", " to ".join(f"{t:g}" for t in report["window"])
     if "nodes" in report:
         yield "nodes", "{} times × {} arclengths".format(*report["nodes"])
-    if "log_evidence" in report:  # an estimate of our own
+    if report.get("log_evidence") is not None:  # an estimate of our own
         yield "log evidence", f"{report['log_evidence']:.1f}"
     for name, count in report["readings"].items():
         reasons = report["dropped"].get(name, {})
