@@ -23,7 +23,7 @@ for name in ("planned", "oscillating"):
     rng, results = np.random.default_rng(0), []
     path_space = path_space_of(bench.full_slide, upper=0.7, start=0.7, horizon=5.0)
     replanner = Replanner(sliding_sensor(robot), path_space, [zone])
-    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=6)
+    smoother = FixedLagSmoother(robot, robot.arclength_nodes, window=6)
     for now in np.arange(0.0, lasts, 0.5):
         time = now + np.linspace(-0.475, 0.0, 20)[-20 if now else -1 :]
         place = replanner.at(time)[0] if name == "planned" else 0.7 - blind.at(time)

@@ -34,7 +34,7 @@ def estimate(readings, travels, routes, ended, lasts):
     robot, bench = load_robot("sliding700"), load_bench(robot_file("sliding700"))
     zone = Zone(MovingInterval((0.0, lasts), (0.62, 0.68), (0.52, 0.58)))
     sensor, path_space = sliding_sensor(robot), path_space_of(bench.slide, TIP, TIP, horizon=5.0)
-    smoother, slide = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=6), [(0.0, 0.0)]
+    smoother, slide = FixedLagSmoother(robot, robot.arclength_nodes, window=6), [(0.0, 0.0)]
     with ProcessPlanner() as planner:
         replanner = Replanner(sensor, path_space, [zone], node_step=0.5, lead=0.7, planner=planner)
         routes.send("ready")

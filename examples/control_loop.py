@@ -8,7 +8,7 @@ from glissando import CoilReadings, FixedLagSmoother, load_robot
 from glissando.geometry import se3
 
 robot = load_robot("tdcr466")
-smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=4)
+smoother = FixedLagSmoother(robot, robot.arclength_nodes, window=4)
 rng, cov = np.random.default_rng(0), np.repeat([5e-7, 4e-5], [3, 2])
 
 

@@ -11,7 +11,7 @@ pose, strain and velocity with their covariance anywhere along the robot, any ti
 >>> tip[:, 2, 3] = 0.466
 >>> coil = CoilReadings(time=np.linspace(0, 1, 11), arclength=0.466, values=tip,
 ...                     cov=[1e-6, 1e-6, 1e-6, 1e-4, 1e-4])
->>> posterior = estimate(robot.prior, grid, [coil])
+>>> posterior = estimate(robot, grid, [coil])
 >>> at = posterior.at(arclength=[0.233, 0.466], time=0.5)
 >>> bool(at.std_position[1] < at.std_position[0])  # surest where the coil is
 True

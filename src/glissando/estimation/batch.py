@@ -18,7 +18,7 @@ from glissando.errors import (
 )
 from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
-from glissando.estimation.given import require_batch, require_gate
+from glissando.estimation.given import model_of, require_batch, require_gate
 from glissando.estimation.misfit import breakdown, misfit_sentence, worst_readings
 from glissando.estimation.outliers import CHANCE, Mask, distinct_labels, judged, used_at_first
 from glissando.estimation.place_evidence import by_evidence
@@ -30,6 +30,7 @@ from glissando.estimation.transported import transported
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior, load_kernels
+from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
@@ -40,11 +41,11 @@ _ROUNDS = 5  # of solving and judging readings
 
 
 def estimate(
-    prior: Prior,
+    model: Prior | Robot,
     grid: Grid,
     readings: Sequence[Readings],
     *,
-    sensor_parameters: Sequence[SensorParameter] = (),
+    sensor_parameters: Sequence[SensorParameter] | None = None,
     initial: State | None = None,
     initial_parameters: Sequence[tuple[SensorParameter, Array]] = (),
     options: SolverOptions | None = None,
@@ -60,11 +61,12 @@ def estimate(
     agree (M8).
 
     Args:
-        prior: What is believed before any reading.
+        model: The robot, or the prior of its motion.
         grid: Nodes over arclength (m) and time (s).
         readings: Readings of each sensor.
         sensor_parameters: Parameters of the sensors, matched by the readings' names; estimated with
-            the states where they are uncertain, applied where they are known.
+            the states where they are uncertain, applied where they are known. Those of the robot
+            unless given; of a prior none.
         initial: Nodes (K, N) to start from instead; rates that the prior has and it lacks are zero.
         initial_parameters: Sensor parameters with their values (K, size) to start from, as an
             earlier posterior of this grid holds them.
@@ -82,6 +84,7 @@ def estimate(
         NotConvergedWarning: The iteration stopped early; the posterior's report says so, too.
         FalseConfidenceWarning: Many readings contradict the estimate; the report says which.
     """
+    prior, sensor_parameters = model_of(model, sensor_parameters)
     require_batch(prior, grid, readings, sensor_parameters, initial, options)
     require_gate(gate)
     problem = _Problem(

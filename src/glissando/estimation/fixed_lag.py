@@ -23,6 +23,7 @@ from glissando.estimation.contact_evidence import ErrorPrior, error_priors, forc
 from glissando.estimation.delays import delayed
 from glissando.estimation.given import (
     arclength_nodes,
+    model_of,
     require_gate,
     require_jacobians,
     require_model,
@@ -42,6 +43,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, points_of
 from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
+from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
@@ -61,21 +63,22 @@ class FixedLagSmoother:
 
     def __init__(
         self,
-        prior: Prior,
+        model: Prior | Robot,
         arclength: ArrayLike,
         *,
         window: int = 4,
-        sensor_parameters: Sequence[SensorParameter] = (),
+        sensor_parameters: Sequence[SensorParameter] | None = None,
         gate: float | None = 1e-6,
     ) -> None:
         """Make a smoother without readings.
 
         Args:
-            prior: What is believed before any reading.
+            model: The robot, or the prior of its motion.
             arclength: Arclength nodes (N,), metres.
             window: Time nodes to keep; 1 is a filter. Where a delay is estimated they are four at
                 least, and as many as it takes to reach back as far as it may be.
-            sensor_parameters: Applied where they are known, estimated where they are not.
+            sensor_parameters: Applied where they are known, estimated where they are not. Those of
+                the robot unless given; of a prior none.
             gate: Chance below which an innovation is refused; None refuses none.
 
         Raises:
@@ -84,6 +87,7 @@ class FixedLagSmoother:
         """
         require_window(window)
         require_gate(gate)
+        prior, sensor_parameters = model_of(model, sensor_parameters)
         self.arclength = arclength_nodes(arclength)
         require_model(prior, self.arclength, sensor_parameters)
         self._window = SlidingWindow(prior, self.arclength, sensor_parameters)

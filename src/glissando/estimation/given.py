@@ -23,15 +23,54 @@ from glissando.model.field_checks import is_number
 from glissando.model.grid import SAME, Grid
 from glissando.model.mechanics import Mechanics, implausible
 from glissando.model.priors.prior import Prior
-from glissando.model.robot import LONGEST
+from glissando.model.robot import LONGEST, Robot
 from glissando.model.sensors.own_jacobian import require_own_jacobian
-from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.gauss_newton import SolverOptions
 
 _FAR = 5.0  # standard deviations of an offset
 _LIKE = 0.75  # how alike names are of which one may be misspelt
+
+
+def model_of(
+    model: Prior | Robot, sensor_parameters: Sequence[SensorParameter] | None
+) -> tuple[Prior, Sequence[SensorParameter]]:
+    """The prior of a model, and its sensor parameters unless others are given.
+
+    Args:
+        model: A robot, or a prior, which has none.
+        sensor_parameters: Those to take in their place.
+    """
+    if isinstance(model, Robot):
+        own = model.sensor_parameters if sensor_parameters is None else sensor_parameters
+        return model.prior, own
+    return model, () if sensor_parameters is None else sensor_parameters
+
+
+def static_model(
+    model: Prior | Robot, readings: Sequence[Readings]
+) -> tuple[Prior, list[Readings]]:
+    """The prior of a model, and readings of static shapes with what it knows of their sensors.
+
+    Args:
+        model: A robot, or a prior, which knows none.
+        readings: The readings.
+
+    Raises:
+        SensorError: A sensor parameter of the readings is uncertain.
+    """
+    prior, sensor_parameters = model_of(model, None)
+    names = {r.name for r in readings}
+    for parameter in sensor_parameters:
+        if not parameter.known and names.intersection(parameter.streams):
+            raise SensorError(
+                f"The robot's sensor parameter {parameter.name!r} is uncertain, and static shapes "
+                f"estimate none; give one whose std is zero, or robot.prior to leave it out."
+            )
+    known = [parameter for parameter in sensor_parameters if parameter.known]
+    return prior, [corrected(r, known) for r in readings]
 
 
 def require_batch(
@@ -125,7 +164,7 @@ def require_model(
 ) -> None:
     """Raise GlissandoError for no prior, nodes in millimetres or off the base, or equal names."""
     if isinstance(prior, type) or not hasattr(prior, "rest_state"):
-        raise GlissandoError(f"The prior is a {type(prior).__name__}; give robot.prior or a Prior.")
+        raise GlissandoError(f"The prior is a {type(prior).__name__}; give a Robot or a Prior.")
     longest = float(np.max(arclength, initial=0.0))
     if longest > LONGEST:
         raise OutsideGridError(

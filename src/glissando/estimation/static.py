@@ -23,6 +23,7 @@ from glissando.estimation.given import (
     require_model,
     require_options,
     require_streams,
+    static_model,
 )
 from glissando.estimation.misfit import unreachable_readings
 from glissando.estimation.outliers import distinct_labels, unlikely
@@ -36,6 +37,7 @@ from glissando.model.memory import require_memory
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior, load_kernels
 from glissando.model.priors.static import STATIC_DOF
+from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.curvature import curvature, with_curvature
@@ -52,7 +54,7 @@ _FEW = 2  # readings of a shape of which neither refutes the other
 
 
 def estimate_static(
-    prior: Prior,
+    model: Prior | Robot,
     arclength: ArrayLike,
     readings: Sequence[Readings],
     *,
@@ -68,7 +70,7 @@ def estimate_static(
     from it, `sample_static` draws them all.
 
     Args:
-        prior: What is believed before any reading.
+        model: The robot, whose sensor parameters must be known, or the prior of its shapes.
         arclength: Nodes (N,) of all shapes, metres.
         readings: Readings of each sensor, their `time` the number of the shape.
         count: How many shapes there are; one more than the largest number unless given.
@@ -88,14 +90,15 @@ def estimate_static(
     >>> tips[:, :3, 3] = [[0.05, 0.0, 0.46], [0.0, -0.1, 0.45]]  # two shapes, a reading each
     >>> coil = CoilReadings(time=[0, 1], arclength=[0.466, 0.466], values=tips,
     ...                     cov=[1e-6, 1e-6, 1e-6, 1, 1])
-    >>> shapes = estimate_static(robot.prior, robot.arclength_nodes, [coil])
+    >>> shapes = estimate_static(robot, robot.arclength_nodes, [coil])
     >>> np.round(shapes.at(0.233, [0, 1]).position, 3) + 0.0
     array([[ 0.012,  0.   ,  0.232],
            [ 0.   , -0.025,  0.231]])
     """
     arclength = arclength_nodes(arclength)
-    require_model(prior, arclength)
     require_streams(readings)
+    prior, readings = static_model(model, readings)
+    require_model(prior, arclength)
     require_jacobians(prior, arclength, readings)
     require_options(options)
     load_kernels(prior, "static_steps")

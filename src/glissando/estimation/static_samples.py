@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
-from glissando.estimation.given import require_model, require_streams
+from glissando.estimation.given import require_model, require_streams, static_model
 from glissando.estimation.static_iteration import iterate
 from glissando.model.grid import Grid
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior, load_kernels
 from glissando.model.priors.static import STATIC_DOF
+from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State, concatenate
 from glissando.solver.gauss_newton import SolverOptions
@@ -33,7 +34,7 @@ _LARGEST = 10_000
 
 
 def sample_static(
-    prior: Prior,
+    model: Prior | Robot,
     arclength: ArrayLike,
     readings: Sequence[Readings],
     *,
@@ -50,7 +51,8 @@ def sample_static(
     at no plausible shape are drawn again; where most do, half are sought from shapes found before.
 
     Args:
-        prior: What is believed before any reading; none of a rod under loads.
+        model: The robot, whose sensor parameters must be known, or the prior of its shapes; none of
+            a rod under loads.
         arclength: Nodes (N,), metres.
         readings: Readings of each sensor, all of the same moment, whatever their times.
         size: How many shapes to draw.
@@ -68,13 +70,14 @@ def sample_static(
     >>> from glissando import PositionReadings, load_robot
     >>> robot = load_robot("tdcr466-segments")
     >>> tip = PositionReadings(time=[0], arclength=[0.466], values=[[0.15, 0.0, 0.3]], cov=1e-6)
-    >>> shapes = sample_static(robot.prior, robot.arclength_nodes, [tip])
+    >>> shapes = sample_static(robot, robot.arclength_nodes, [tip])
     >>> middle, end = shapes.pose[:, 2, :3, 3], shapes.pose[:, -1, :3, 3]
     >>> bool(end.std(axis=0).max() < 0.002), bool(middle.std(axis=0).max() > 0.03)  # metres
     (True, True)
     """
-    require_model(prior, np.asarray(arclength, dtype=float))
     require_streams(readings)
+    prior, readings = static_model(model, readings)
+    require_model(prior, np.asarray(arclength, dtype=float))
     if not 1 <= size <= _LARGEST:
         raise GlissandoError(f"size is {size}; draw 1 to {_LARGEST:,} shapes.")
     if isinstance(prior, MechanicalPrior):
