@@ -146,6 +146,8 @@ def test_play_is_the_play_operator_once_it_was_taken_up_and_unknown_until_then()
         ({"softness": 0.15}, "softness reaches 0.15 m"),
         ({"std": 0.1}, "std reaches 0.1 m"),
         ({"stiffness": 10.0}, "times as much as they bend the robot; give N/m"),
+        ({"learned_to": 3.5}, "learned_to reaches 3.5 m on a robot of 0.2 m; give metres"),
+        ({"friction": 50.0}, "friction is .* give a coefficient, about 0.1"),
         ({"play": -1e-4}, "play is .* zero or more"),
         ({"tension": 3.0}, "tension is not a key"),
     ],

@@ -47,7 +47,6 @@ exit status: 0 done; 1 the tendons leave no static shape; 2 something given was 
 """
 
 _SLOW = 10.0  # s between commands, beyond which they may well be milliseconds
-_BEYOND = 1.2  # times as far as tendons were pulled where their numbers were learned
 _PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 _MARKER_COLUMNS = ("time", "x", "y", "z", *(f"cov_{pair}" for pair in _PAIRS))
 
@@ -74,12 +73,6 @@ def _doubts(time: Array, displacement: Array, tendons: Tendons) -> Iterator[str]
             f"1000, as velocities are wrong else."
         )
     most = float(np.abs(displacement).max())
-    if most > _BEYOND * tendons.learned_to:
-        yield (
-            f"Displacements reach {1e3 * most:.3g} mm, and {1e3 * tendons.learned_to:.3g} mm where "
-            f"this robot was learned: what is predicted beyond is less sure than it says. If they "
-            f"are in another unit, give metres, or millimetres where a column's name ends in _mm."
-        )
     if 0.0 < most < std:
         yield (
             f"No displacement exceeds {1e3 * most:.2g} mm, less than what they are off by "

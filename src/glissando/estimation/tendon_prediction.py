@@ -16,8 +16,10 @@ from glissando.model.robot import Robot
 from glissando.model.state import DOF
 from glissando.model.tendons.statics import equilibrium
 from glissando.model.tendons.tendon_rod import TendonRod, mechanical, tendon_rod
+from glissando.model.tendons.tendons import Tendons
 
 _VELOCITY = slice(12, 18)
+_BEYOND = 1.5  # times as far as tendons were pulled where their numbers were learned
 _NOTICED = 0.1  # of the claimed standard deviation, by which weight moves a robot
 
 
@@ -45,7 +47,8 @@ def predict(
         NoShapeError: No equilibrium was found.
 
     Warns:
-        FalseConfidenceWarning: The robot's weight, which is left out, bends it noticeably.
+        FalseConfidenceWarning: The robot's weight, which is left out, bends it noticeably, or a
+            tendon is pulled farther than where its numbers were learned.
     """
     places = robot.arclength_nodes if arclength is None else np.asarray(arclength, dtype=float)
     places, time = np.atleast_1d(places), np.atleast_1d(np.asarray(time, dtype=float))
@@ -71,9 +74,27 @@ def predict(
     by_pull = shape.pose_by(shape.strain_by_displacement())[:, node]
     velocity, cov[..., _VELOCITY, _VELOCITY] = _velocity(rod, time, displacement, by_pull)
     strain = shape.strain[:, np.maximum(node - 1, 0)]
+    _warn_beyond(rod.tendons, displacement)
     prediction = StateEstimate(shape.pose()[:, node], strain, velocity, cov)
     warn_of_weight(robot, float(prediction.std_position.max()))
     return prediction
+
+
+def _warn_beyond(tendons: Tendons, displacement: Array) -> None:
+    """Warn where tendons are pulled farther (M, T) than where their numbers were learned."""
+    most = np.max(displacement, axis=0, initial=0.0)
+    beyond = np.flatnonzero(most > _BEYOND * tendons.learned_to + tendons.std)
+    if beyond.size:
+        named = ", ".join(tendons.names[j] for j in beyond)
+        j = int(beyond[np.argmax((most - tendons.learned_to)[beyond])])
+        warnings.warn(
+            f"Tendons are pulled farther than where this robot was learned, {named}: "
+            f"{tendons.names[j]} by {1e3 * most[j]:.3g} mm, not {1e3 * tendons.learned_to[j]:.3g}. "
+            f"Shapes there are less sure than they say; learn from such motions. If displacements "
+            f"are in another unit, give metres (in files also millimetres, in columns named _mm).",
+            FalseConfidenceWarning,
+            stacklevel=3,
+        )
 
 
 def warn_of_weight(robot: Robot, std: float) -> None:
@@ -109,6 +130,7 @@ def predict_tip(robot: Robot, displacement: Array, stream: str) -> tuple[Array, 
         Positions (M, 3) in the tracker's frame, and covariances (M, 3, 3) of readings of them.
     """
     rod = tendon_rod(robot, np.zeros(0))
+    _warn_beyond(rod.tendons, np.atleast_2d(displacement))
     shape = equilibrium(rod, displacement=rod.tendons.effective(displacement))
     mount = se3.exp(robot.stated_transform("mount", stream))
     frame = se3.inverse(se3.exp(robot.stated_transform("frame", stream)))

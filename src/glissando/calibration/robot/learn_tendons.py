@@ -107,7 +107,7 @@ def learn_tendons(robot: Robot, data: TendonData, watch: Watch | None = None) ->
         held_out[left] = _errors(model, without_block, data)[left]
     learned = model.robot_of(numbers, _model_error(model, numbers, data, held_out))
     assert learned.tendons is not None
-    most = float(np.abs(data.displacement).max())
+    most = np.maximum(data.displacement.max(axis=0), 0.0)
     learned = replace(learned, tendons=replace(learned.tendons, learned_to=most))
     rmse, held_out_rmse = (float(np.sqrt(np.mean(np.sum(e**2, axis=1)))) for e in (error, held_out))
     return LearnedTendons(learned, rmse, held_out_rmse, held_out)

@@ -1,4 +1,7 @@
-"""What friction along its channel leaves of a tendon's tension: exp(−μ Θ), Θ the angle turned."""
+"""What friction along its channel leaves of a tendon's tension: exp(−μ Θ).
+
+Θ is the angle by which the backbone bends the tendon; what a helical channel turns is left out.
+"""
 
 from __future__ import annotations
 

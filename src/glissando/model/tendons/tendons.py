@@ -27,6 +27,7 @@ _SHARED = {"softness": 1e-4, "std": 1e-4, "psd_moment": 1e-7}
 _OPTIONAL = {"pitch": 0.0, "slack": 0.0, "play": 0.0, "friction": 0.0}
 _ZERO = 0.05  # m, by which slack may hold where a servo's zero lies
 _TRAVEL = 10.0  # rad, times its radius: what no slack, play or error of a tendon exceeds
+_STICKING = 2.0  # of friction: beyond it, rubber on rubber
 _SOFT = 0.05  # of a tendon's stretch goes into bending: less, and units are wrong
 
 
@@ -50,7 +51,8 @@ class Tendons:
         softness: Displacement over which a tendon becomes taut, m.
         std: Standard deviation of what displacements differ from the commands by, m.
         psd_moment: Density of bending moments that are not modelled, white along arclength, N² m³.
-        learned_to: Largest displacement, either way, that these numbers were learned from, m.
+        learned_to: How far each was pulled (T,) where these numbers were learned, m; infinite where
+            nobody says.
         names: Columns of the tendons in files.
     """
 
@@ -65,7 +67,7 @@ class Tendons:
     softness: float = 1e-4
     std: float = 1e-4
     psd_moment: float = 1e-7
-    learned_to: float = np.inf
+    learned_to: Array = field(default_factory=lambda: np.full(1, np.inf))
     names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -77,6 +79,8 @@ class Tendons:
                     f"Tendons: {name} has {value.size} numbers for {count} tendons; give one each."
                 )
             object.__setattr__(self, name, np.broadcast_to(value, count).copy())
+        learned_to = np.broadcast_to(np.asarray(self.learned_to, dtype=float), count).copy()
+        object.__setattr__(self, "learned_to", learned_to)
         names = self.names or _numbered(count)
         twice = [name for name in names if names.count(name) > 1]
         if twice:
@@ -162,7 +166,8 @@ class Tendons:
             elif not self.straight:
                 table[name] = np.where(np.isinf(value), 0.0, value).tolist()
         table |= {name: float(getattr(self, name)) for name in _SHARED}
-        return table | ({"learned_to": self.learned_to} if np.isfinite(self.learned_to) else {})
+        known = np.isfinite(self.learned_to).all()
+        return table | ({"learned_to": self.learned_to.tolist()} if known else {})
 
 
 def read_tendons(robot: Table, length: float, mechanics: Mechanics | None = None) -> Tendons | None:
@@ -190,7 +195,13 @@ def read_tendons(robot: Table, length: float, mechanics: Mechanics | None = None
     given["pitch"] = np.where(pitch == 0.0, np.inf, pitch)
     given |= {name: table.number(name, usual) for name, usual in _SHARED.items()}
     if table.peek("learned_to") is not None:
-        given["learned_to"] = table.number("learned_to")
+        given["learned_to"] = learned_to = _each(table, "learned_to", count)
+        if np.any((learned_to < 0.0) | (learned_to > length)):
+            raise table.fail(
+                "learned_to",
+                f"reaches {np.max(np.abs(learned_to)):g} m on a robot of {length:g} m; give "
+                f"metres, by which tendons were pulled.",
+            )
     table.close()
     _require_units(SimpleNamespace(**given), table.fail)
     tendons = Tendons(names=names, **given)
@@ -227,6 +238,8 @@ def _require_units(tendons: Any, fail: Callable[[str, str], Exception]) -> None:
             raise fail(name, f"is {value.tolist()}; give numbers above zero.")
         if name in ("play", "friction") and np.any(value < 0.0):
             raise fail(name, f"is {value.tolist()}; give zero or more.")
+    if np.any(tendons.friction > _STICKING):
+        raise fail("friction", f"is {tendons.friction.tolist()}; give a coefficient, about 0.1.")
     if np.any(tendons.radius > _LARGEST_RADIUS):
         raise fail("radius", f"is {tendons.radius.tolist()}; give metres: 0.0045 for 4.5 mm.")
     if np.any(np.abs(tendons.angle) > 4.0 * np.pi):
