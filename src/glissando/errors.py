@@ -71,7 +71,7 @@ class OldNameWarning(UserWarning):
 
 
 class OtherTimesWarning(UserWarning):
-    """A stream has no reading at the times that it is wanted for."""
+    """A stream has no reading at the times that it is wanted for, or they are of another clock."""
 
 
 class PlanWarning(UserWarning):

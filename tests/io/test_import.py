@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from command_line import run
 from draws import poses
 from foreign_files import ndi_csv, tracker_csv
-from glissando.errors import RecordingError
+from glissando.errors import OtherTimesWarning, RecordingError
 from glissando.geometry import se3
 from glissando.io.foreign import Choices, Track, write_recording
 from glissando.io.recording_folder import load_recording
@@ -53,6 +54,17 @@ def test_times_since_1970_begin_at_the_first_of_them(tmp_path):
     streams = load_recording(tmp_path / "out").streams
     np.testing.assert_allclose(streams["a"].rows.time, np.arange(5) / 10, atol=1e-6)
     np.testing.assert_allclose(streams["b"].rows.time, np.arange(5) / 10 + 3, atol=1e-6)
+
+
+def test_times_of_two_clocks_are_named_unless_a_shift_says_how_they_go_together(tmp_path):
+    clock = track("a", absolute=True)
+    clock, own = replace(clock, time=clock.time + 1.7e9), track("b")
+    placed = {"a": 0.1, "b": 0.2}
+    with pytest.warns(OtherTimesWarning, match=r"those of b from a zero of their own.*--shift b=S"):
+        write_recording([clock, own], tmp_path / "mixed", Choices(placed))
+    write_recording([clock, own], tmp_path / "said", Choices(placed, shift={"b": -0.2}))
+    rows = load_recording(tmp_path / "said").streams["b"].rows
+    np.testing.assert_allclose(rows.time, np.arange(5) / 10 - 0.2, atol=1e-6)
 
 
 def test_a_clock_that_does_not_count_from_1970_is_that_of_its_path(tmp_path):

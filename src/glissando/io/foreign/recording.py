@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from glissando.errors import RecordingError
+from glissando.errors import OtherTimesWarning, RecordingError
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import new_folder
 from glissando.io.csv_stream import Rows, Stream
@@ -67,6 +68,7 @@ def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> 
     robot = load_robot(choices.robot) if choices.robot else None
     tracks = [replace(t, absolute=t.absolute and _since_1970(t.time)) for t in tracks]
     start = min((float(t.time[0]) for t in tracks if t.absolute), default=0.0)
+    _warn_of_two_clocks(tracks, choices, start)
     streams, lines = [], []
     for track in tracks:
         rows = _placed(track, choices, start, robot)
@@ -115,6 +117,21 @@ def _require_known(tracks: Sequence[Track], choices: Choices) -> None:
                 raise RecordingError(
                     f"The files hold no {name!r}; they hold {', '.join(names)}. Correct the name."
                 )
+
+
+def _warn_of_two_clocks(tracks: Sequence[Track], choices: Choices, start: float) -> None:
+    """Warn where some times count from 1970, others do not, and no shift says how they agree."""
+    placed = [t for t in tracks if t.name in choices.arclength or t.kind == "tendon"]
+    since = [t.name for t in placed if t.absolute]
+    own = [t.name for t in placed if not t.absolute and t.name not in choices.shift]
+    if since and own:
+        warnings.warn(
+            f"Times of {', '.join(since)} count from 1970, those of {', '.join(own)} from a zero "
+            f"of their own, taken to be at {start:.6f} s, the first reading of the others. Say "
+            f"with --shift {own[0]}=S how many seconds later it lies, below 0 where earlier.",
+            OtherTimesWarning,
+            stacklevel=3,
+        )
 
 
 def _tendon_rows(track: Track, time: Array, robot: Robot | None) -> Rows:
