@@ -173,6 +173,9 @@ def test_the_quick_run_computes_judges_and_draws_every_claim(tmp_path, capsys, m
     assert [entry["id"] for entry in record["claims"]] == [
         c.id for c in load_claims() if not c.full
     ]
+    page = (tmp_path / "reproduction.md").read_text()
+    assert "Why the paper gains less" in page
+    assert "published prior" not in page  # of which only a full run tells
     assert {"numpy", "scipy", "python", "glissando"} <= set(record["versions"])
     assert record["seeds"] == {"first": 0, **fewer}
     arm = record["results"]["table"]["C"]["fixed"]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from string import Template
 from typing import Any
 
 _TEMPLATE = Path(__file__).with_name("page.md")
+_FULL = re.compile("<!-- full run -->\n(.*?)<!-- end -->\n", re.DOTALL)  # what a quick run lacks
 
 
 def page(record: dict[str, Any]) -> str:
@@ -25,7 +27,8 @@ def page(record: dict[str, Any]) -> str:
     heads = [f"{s} {what}" for s in "CS" for what in ("fixed (cm, rad)", *_WHAT.values())]
     table, moving = results["table"].items(), results["moving"].items()
     claims = [[c["says"], c["paper"], c["ours"], _verdict(c)] for c in record["claims"]]
-    return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
+    text = _TEMPLATE.read_text(encoding="utf-8")
+    return Template(_FULL.sub("" if record["quick"] else r"\1", text)).substitute(
         {f"seeds_{section}": count for section, count in record["seeds"].items()},
         claims=_rows(["claim", "paper", "ours", "verdict"], claims),
         size="A quick" if record["quick"] else "A full",
@@ -34,7 +37,7 @@ def page(record: dict[str, Any]) -> str:
         table="\n\n".join(_arms(f"{shape}: ", arms) for shape, arms in table),
         moving="\n\n".join(_arms(f"C → S in {label}: ", arms) for label, arms in moving),
         causes=_rows(["", *heads], changes),
-        passes=_arms("", results["passes"]) if results["passes"] else "Only a full run has it.",
+        passes=_arms("", results["passes"]) if results["passes"] else "",
     )
 
 
