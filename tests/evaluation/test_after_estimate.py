@@ -77,7 +77,7 @@ def test_the_last_moment_is_of_the_last_stretch(end):
 
 
 @pytest.mark.slow
-def test_streams_left_out_accuse_a_biased_one_and_no_other():
+def test_a_stream_that_contradicts_the_others_is_accused_and_a_right_one_is_not():
     """A coil that is 5 cm off explains itself by its own neighbours, but not by the others."""
     prior, grid, readings = sliding_scene(duration=1.0)
     tip = readings[1].changed(name="second", time=readings[1].time + 1e-4)
