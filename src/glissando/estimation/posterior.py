@@ -154,6 +154,9 @@ class Posterior(ShortRepr):
     def sample(self, rng: np.random.Generator, size: int = 1) -> State:
         """Joint draws of the whole motion at the nodes, leading shape (size, K, N).
 
+        Draws of the Gaussian belief: each pose moves straight on. Where poses are known to a few
+        tenths of a radian or worse, nodes of a draw may lie farther apart than the body reaches.
+
         Args:
             rng: A generator, such as `numpy.random.default_rng(0)`.
             size: How many.
