@@ -147,3 +147,16 @@ def test_what_is_found_after_reading_names_the_file_as_well(tmp_path):
     file.write_text(far)
     with pytest.raises(RobotFileError, match=r"mine.toml: .*base_pose lies 400 m from the origin"):
         load_robot(file)
+
+
+@pytest.mark.parametrize(("linear", "sound"), [("0.5", False), ("5e-4", True)])
+def test_deviations_of_a_tracker_in_millimetres_are_refused(tmp_path, linear, sound):
+    head, tail = robot_file("tdcr466").read_text().split("[sensors.coil]\n")
+    rest = tail.partition("\n")[2]
+    file = tmp_path / "mine.toml"
+    file.write_text(f"{head}[sensors.coil]\nstd = [{linear}, 0.01]\n{rest}")
+    if sound:
+        assert load_robot(file).sensor_std["coil"][0] == 5e-4
+        return
+    with pytest.raises(RobotFileError, match=r"std is 0.5 m on a robot of 0.466 m; give metres"):
+        load_robot(file)

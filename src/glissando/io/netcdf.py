@@ -67,7 +67,7 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
     Raises:
         GlissandoError: The file cannot be written, or h5netcdf is not installed.
     """
-    require_kind(posterior, Posterior, "posterior", "give the estimate, and then the file")
+    require_kind(posterior, Posterior, "posterior", "give what estimate returned, then the file")
     variables, coordinates, attributes = labelled(posterior)
     slab = ("slab", "slab_")
     variables["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose, {})

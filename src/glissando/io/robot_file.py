@@ -35,6 +35,7 @@ OLD_KINDS = {
     "delay": "time_offset",
 }
 """Kinds of priors and of sensor parameters by the names of files of before."""
+_VAGUE = 0.5  # of its length: positions known less well are in another unit
 _NODES = 10_000  # along a robot: more is another unit
 LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
     "huber": Huber,
@@ -114,7 +115,7 @@ def parse_robot(table: Table) -> Robot:
         wrong = implausible(mechanics, length)
         if wrong is not None:
             raise table.fail(f"[mechanics] {wrong[0]}", wrong[1])
-    sensors = _sensors(table)
+    sensors = _sensors(table, length)
     sensor_parameters = tuple(
         _sensor_parameter(entry) for entry in table.tables("sensor_parameters")
     )
@@ -207,7 +208,7 @@ def _sensor_parameter(table: Table) -> SensorParameter:
 
 
 def _sensors(
-    table: Table,
+    table: Table, length: float
 ) -> tuple[dict[str, Array], dict[str, Loss], dict[str, float], dict[str, float]]:
     """Standard deviations, losses, ranges and rates by kind of sensor."""
     std: dict[str, Array] = {}
@@ -219,6 +220,13 @@ def _sensors(
             known = ", ".join(sensor_kinds())
             raise table.fail(f"[sensors.{kind}]", f"is not a kind of sensor; known: {known}.")
         std[kind] = sensor.std(sensor_class(kind).rows)
+        reads_places = sensor_class(kind).tracker and sensor_class(kind).value_shape != (3, 3)
+        if reads_places and np.any(std[kind][:3] > _VAGUE * length):
+            raise sensor.fail(
+                "std",
+                f"is {std[kind][:3].max():g} m on a robot of {length:g} m; give metres, not "
+                f"millimetres.",
+            )
         if sensor.peek("clip") is not None and not sensor_class(kind).tracker:
             ranges[kind] = sensor.number("clip")
         if sensor.peek("rate") is not None:

@@ -77,7 +77,10 @@ class RobotOutline:
         for kind, _ in self.streams:
             if kind not in _NOISE:
                 known = ", ".join(k for k in sensor_kinds() if k in _NOISE)
-                raise RobotFileError(f"{kind!r} is no kind of sensor; known: {known}.")
+                what = "is no kind of sensor"
+                if kind in sensor_kinds():
+                    what = "takes mechanics that a new file has not"
+                raise RobotFileError(f"{kind!r} {what}; known: {known}.")
         _require_streams([stream for _, stream in self.streams])
 
     @property

@@ -59,7 +59,7 @@ def save_view(
         OutsideGridError: The window is off the grid.
         GlissandoError: The grid has a single arclength.
     """
-    require_kind(posterior, Posterior, "posterior", "give the estimate, and then the file")
+    require_kind(posterior, Posterior, "posterior", "give what estimate returned, then the file")
     for name, streams in (("readings", readings), ("truth", truth)):
         require_list(streams, Readings, f"streams of {name}")
     scene = scene_of(posterior, readings, truth, window=window, progress=progress)
