@@ -3,6 +3,7 @@
 from .errors import FalseConfidenceWarning, GlissandoError, NotConvergedWarning
 from .estimation.batch import estimate
 from .estimation.fixed_lag import FixedLagSmoother
+from .estimation.joint_estimate import JointEstimate
 from .estimation.posterior import Posterior
 from .estimation.solve_report import SolveReport
 from .estimation.state_estimate import StateEstimate
@@ -53,6 +54,7 @@ __all__ = [
     "Grid",
     "GyroReadings",
     "Huber",
+    "JointEstimate",
     "NotConvergedWarning",
     "OrientationReadings",
     "PoseReadings",

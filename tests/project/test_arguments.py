@@ -174,7 +174,10 @@ def test_results_are_judged_saved_and_shown_only_if_they_are_results(tmp_path):
         (lambda: check(posterior), "errors are a Posterior and go in a list"),
         (lambda: check(errors_against(posterior, read)), "errors are a Errors"),
         (lambda: check([errors_against(posterior, read)])[0].coverage(95), "give 0.95 for 95 %"),
-        (lambda: save_posterior("a.nc", posterior), "posterior is a str; give what estimate returned"),
+        (
+            lambda: save_posterior("a.nc", posterior),
+            "posterior is a str; give what estimate returned",
+        ),
         (lambda: load_posterior(posterior), "give the path of its file"),
         (lambda: save_view("v.html", posterior), "posterior is a str; give what estimate returned"),
         (lambda: save_view(posterior, page, readings=read), "go in a list"),

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from glissando._kernels.threads import one_thread
-from glissando.errors import GlissandoError
+from glissando.errors import GlissandoError, OutsideGridError
 from glissando.estimation.evidence import log_normalizer
+from glissando.estimation.joint_estimate import JointEstimate, joint_estimate
 from glissando.estimation.loads import (
     WrenchEstimate,
     internal_wrench,
@@ -22,7 +23,7 @@ from glissando.estimation.solve_report import SolveReport
 from glissando.estimation.state_estimate import StateEstimate, spread, state_at
 from glissando.estimation.transported import transported
 from glissando.geometry.se3 import Array
-from glissando.model.grid import Grid
+from glissando.model.grid import Grid, points_of
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameter_process import HELD, EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
@@ -92,6 +93,24 @@ class Posterior(ShortRepr):
         Raises OutsideGridError for a point off the grid. Source: equations (10) to (12).
         """
         return state_at(self.prior, self.grid, self.state, self.marginals, arclength, time)
+
+    def joint(self, arclength: ArrayLike, time: float) -> JointEstimate:
+        """Several places at one time with their joint covariance, such as of the tip to the middle.
+
+        Args:
+            arclength: Places (M,), m, at most one between any two arclength nodes.
+            time: A time node, s.
+
+        Raises:
+            OutsideGridError: The time is no node, or two places lie inside one interval or off the
+                grid.
+        """
+        places, times = points_of(arclength, time)
+        if places.ndim != 1 or not places.size:
+            raise OutsideGridError("joint takes a list of places (M,) and one time.")
+        return joint_estimate(
+            self.prior, self.grid, self.state, self.marginals, places, float(times.flat[0])
+        )
 
     def wrench(
         self, arclength: ArrayLike, time: ArrayLike, *, frame: str = "body"
