@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando import Grid, PoseReadings, PositionReadings, estimate, load_robot
+from glissando import (
+    FixedLagSmoother,
+    Grid,
+    PoseReadings,
+    PositionReadings,
+    estimate,
+    load_robot,
+)
 from glissando.estimation.evidence import prior_equations, proper
 from glissando.geometry import se3
 from glissando.model.mechanics import Mechanics
@@ -96,6 +103,13 @@ def test_evidence_is_that_of_a_dense_gaussian(make, seed):
         expected = -0.5 * (fit + np.linalg.slogdet(marginal)[1])
         differences.append(found.log_evidence - expected)
     np.testing.assert_allclose(differences, 0.0, atol=0.02)
+
+
+def test_a_window_has_no_evidence():
+    prior = segments()
+    smoother = FixedLagSmoother(prior, grid(prior).arclength)
+    smoother.advance(0.0)
+    assert np.isnan(smoother.posterior().log_evidence)
 
 
 def test_a_prior_without_a_base_is_compared_by_what_it_says_of_the_rest():

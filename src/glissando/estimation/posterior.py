@@ -30,6 +30,7 @@ from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.short_repr import ShortRepr
 from glissando.model.state import POSE, State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals, factor
+from glissando.solver.outcome import Outcome
 
 
 @dataclass(frozen=True)
@@ -74,11 +75,14 @@ class Posterior(ShortRepr):
     def log_evidence(self) -> float:
         """Laplace's log marginal likelihood of the readings, up to a constant of these readings.
 
-        It compares robot files on the same readings and nodes. Source: equation (22).
+        It compares robot files on the same readings and nodes. A window, which has let readings go,
+        has none: no number. Source: equation (22).
 
         Raises:
             UnobservableError: The prior alone leaves states undetermined.
         """
+        if self.solve.outcome is Outcome.UPDATED:
+            return float("nan")
         states = self.linearized or (self.state, self.state)
         return self.solve.log_fit + log_normalizer(self.prior, self.grid, *states)
 
