@@ -146,6 +146,14 @@ def test_a_robot_of_ones_own_is_simulated(tmp_path, capsys):
     assert np.ptp(session.coil.arclength) == pytest.approx(0.06, abs=0.002)
 
 
+def test_a_robot_without_a_coil_is_not_made_to_be_simulated(tmp_path, capsys):
+    """Its simulated session could not be estimated, as the file says nothing of a coil."""
+    words = "robot new --length 0.3 --segments 1 --diameter 0.006 --bend 90 --sensors gyro:imu"
+    assert main([*words.split(), "--physics", "--out", str(tmp_path / "own.toml")]) == 2
+    assert "give coil among the sensors too" in capsys.readouterr().err
+    assert not (tmp_path / "own.toml").exists()
+
+
 @pytest.mark.parametrize(("bend", "status"), [("6.28", 2), ("12.566", 2), ("6", 0), ("7", 0)])
 def test_a_bend_in_radians_is_refused(tmp_path, capsys, bend, status):
     outline = f"--length 0.4 --segments 2 --diameter 0.012 --sensors coil:coil --bend {bend}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from glissando.errors import RobotFileError
 from glissando.io.robot_template import RobotOutline
 
 _YOUNG, _DENSITY = 60e9, 6450.0  # Pa and kg/m³, of nitinol
@@ -21,7 +22,14 @@ def physics_text(outline: RobotOutline) -> str:
 
     Args:
         outline: What is known of the robot.
+
+    Raises:
+        RobotFileError: It has no coil, which is what slides in a simulation.
     """
+    if not any(kind == "coil" for kind, _ in outline.streams):
+        raise RobotFileError(
+            "A simulated session is read by a coil that slides; give coil among the sensors too."
+        )
     length, count, across = outline.length, outline.segments, outline.diameter
     outer = min(0.5 * across, max(across / 6.0, length / _SLENDER))
     tubes = [(outer, _BORE * outer), (0.6 * outer, 0.4 * outer)]
