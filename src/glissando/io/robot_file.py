@@ -58,11 +58,24 @@ def load_robot(name: str | Path) -> Robot:
     path = robot_file(name)
     try:
         robot = parse_robot(Table(read_robot_document(path), path.name, RobotFileError))
+        _require_metres(robot)
     except RobotFileError:
         raise
     except GlissandoError as problem:  # of what its numbers make
         raise RobotFileError(f"{path.name}: {problem}") from None
     return replace(robot, file=path)
+
+
+def _require_metres(robot: Robot) -> None:
+    """Raise RobotFileError where deviations of a tracker's positions are in millimetres."""
+    for kind, std in robot.sensor_std.items():
+        sensor = sensor_class(kind)
+        reads_places = sensor.tracker and sensor.value_shape != (3, 3)
+        if reads_places and np.any(std[:3] > _VAGUE * robot.length):
+            raise RobotFileError(
+                f"{robot.name}: [sensors.{kind}] std is {std[:3].max():g} m on a robot of "
+                f"{robot.length:g} m; give metres, not millimetres."
+            )
 
 
 def read_robot_document(path: Path) -> dict[str, Any]:
@@ -115,7 +128,7 @@ def parse_robot(table: Table) -> Robot:
         wrong = implausible(mechanics, length)
         if wrong is not None:
             raise table.fail(f"[mechanics] {wrong[0]}", wrong[1])
-    sensors = _sensors(table, length)
+    sensors = _sensors(table)
     sensor_parameters = tuple(
         _sensor_parameter(entry) for entry in table.tables("sensor_parameters")
     )
@@ -208,7 +221,7 @@ def _sensor_parameter(table: Table) -> SensorParameter:
 
 
 def _sensors(
-    table: Table, length: float
+    table: Table,
 ) -> tuple[dict[str, Array], dict[str, Loss], dict[str, float], dict[str, float]]:
     """Standard deviations, losses, ranges and rates by kind of sensor."""
     std: dict[str, Array] = {}
@@ -220,13 +233,6 @@ def _sensors(
             known = ", ".join(sensor_kinds())
             raise table.fail(f"[sensors.{kind}]", f"is not a kind of sensor; known: {known}.")
         std[kind] = sensor.std(sensor_class(kind).rows)
-        reads_places = sensor_class(kind).tracker and sensor_class(kind).value_shape != (3, 3)
-        if reads_places and np.any(std[kind][:3] > _VAGUE * length):
-            raise sensor.fail(
-                "std",
-                f"is {std[kind][:3].max():g} m on a robot of {length:g} m; give metres, not "
-                f"millimetres.",
-            )
         if sensor.peek("clip") is not None and not sensor_class(kind).tracker:
             ranges[kind] = sensor.number("clip")
         if sensor.peek("rate") is not None:
