@@ -13,10 +13,15 @@ from glissando import (
     estimate,
     load_robot,
 )
-from glissando.estimation.evidence import prior_equations, proper
+from glissando.errors import UnobservableError
+from glissando.estimation import evidence
+from glissando.estimation.evidence import log_normalizer
 from glissando.geometry import se3
 from glissando.model.mechanics import Mechanics
 from glissando.model.priors.mechanical.prior import MechanicalPrior
+from glissando.solver.linearize import linearize
+from glissando.solver.located_readings import locate
+from glissando.solver.normal_equations import system_shape
 
 STIFFNESS = np.array([300.0, 300.0, 800.0, 3e-3, 3e-3, 7e-3])
 STD = np.repeat([1e-3, 0.01], 3)
@@ -89,7 +94,8 @@ def test_evidence_is_that_of_a_dense_gaussian(make, seed):
         coil = PoseReadings(time=nodes.time, arclength=nodes.arclength[-1], values=values,
                             cov=STD**2)  # fmt: skip
         found = estimate(prior, nodes, [coil])
-        alone = proper(prior, prior_equations(prior, nodes, rest, rest))
+        workspace = np.empty(system_shape(nodes.time.size, rest.numbers))
+        alone = linearize(prior, locate(nodes, [], ()), rest, rest, workspace).system
         size, dof = alone.diagonal.shape[1], rest.dof
         dense = np.zeros((nodes.time.size, size) * 2)
         for k, block in enumerate(alone.diagonal):
@@ -103,6 +109,21 @@ def test_evidence_is_that_of_a_dense_gaussian(make, seed):
         expected = -0.5 * (fit + np.linalg.slogdet(marginal)[1])
         differences.append(found.log_evidence - expected)
     np.testing.assert_allclose(differences, 0.0, atol=0.02)
+
+
+@pytest.mark.parametrize("make", [rod, kinematic, segments])
+def test_what_normalises_a_prior_is_the_same_by_a_square_root(make, monkeypatch):
+    """By which it is found where the normal equations have no digits."""
+    prior = make()
+    nodes = grid(prior)
+    at = nodes, prior.rest_state(nodes), prior.rest_state(nodes)
+    expected = log_normalizer(prior, *at)
+
+    def no_digits(*arguments):
+        raise UnobservableError("no digits")
+
+    monkeypatch.setattr(evidence, "factor", no_digits)
+    assert log_normalizer(prior, *at) == pytest.approx(expected, abs=1e-3)
 
 
 def test_a_window_has_no_evidence():

@@ -9,42 +9,15 @@ from __future__ import annotations
 import numpy as np
 
 from glissando._kernels.threads import one_thread
+from glissando.errors import UnobservableError
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior, load_kernels
 from glissando.model.state import State
-from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
-from glissando.solver.linearize import NormalEquations, linearize
+from glissando.solver.block_tridiagonal import factor
+from glissando.solver.linearize import linearize
 from glissando.solver.located_readings import locate
 from glissando.solver.normal_equations import system_shape
-
-
-def prior_equations(prior: Prior, grid: Grid, state: State, noise_state: State) -> NormalEquations:
-    """What the prior alone says of the nodes (K, N) of a state.
-
-    Args:
-        prior: The prior.
-        grid: The nodes.
-        state: Nodes to linearise at.
-        noise_state: Nodes whose rates its weights come from.
-    """
-    load_kernels(prior)
-    workspace = np.empty(system_shape(grid.time.size, state.numbers))
-    return linearize(prior, locate(grid, [], ()), state, noise_state, workspace)
-
-
-def proper(prior: Prior, equations: NormalEquations) -> BlockTridiagonal:
-    """The system of a prior alone, with a first base of unit variance where it knows none.
-
-    Args:
-        prior: The prior.
-        equations: What it says alone.
-    """
-    system = equations.system
-    if prior.fixes_base:
-        return system
-    known = np.zeros(system.diagonal.shape[:2])
-    known[0, : equations.state.dof] = 1.0
-    return system.add_to_diagonal(known)
+from glissando.solver.square_root import root_information
 
 
 def log_normalizer(prior: Prior, grid: Grid, state: State, noise_state: State) -> float:
@@ -55,13 +28,26 @@ def log_normalizer(prior: Prior, grid: Grid, state: State, noise_state: State) -
     Args:
         prior: The prior.
         grid: The nodes.
-        state: Nodes to linearise at.
+        state: Nodes (K, N) to linearise at.
         noise_state: Nodes whose rates its weights come from.
 
     Raises:
         UnobservableError: The prior alone leaves states undetermined.
     """
+    load_kernels(prior)
+    workspace = np.empty(system_shape(grid.time.size, state.numbers))
     with one_thread():
-        alone = prior_equations(prior, grid, state, noise_state)
-        log_det = factor(proper(prior, alone)).log_det
+        alone = linearize(prior, locate(grid, [], ()), state, noise_state, workspace)
+        known = np.zeros(alone.system.diagonal.shape[:2])
+        if not prior.fixes_base:
+            known[0, : state.dof] = 1.0  # the first base, with unit variance
+        try:
+            log_det = factor(alone.system.add_to_diagonal(known)).log_det
+        except (np.linalg.LinAlgError, UnobservableError):
+            if not prior.fixes_base:
+                raise
+            every = prior.factors(grid, state, noise_state, slice(0, grid.time.size))
+            root = root_information(every, grid.shape, state.dof)  # has twice the digits
+            diagonal = np.abs(np.diagonal(root.diagonal, axis1=1, axis2=2))
+            log_det = 2.0 * float(np.log(diagonal).sum())
     return 0.5 * (log_det + alone.log_det_noise)

@@ -22,7 +22,7 @@ from glissando.calibration.robot.hyperparameters import Document
 from glissando.calibration.robot.predictive import Start
 from glissando.errors import GlissandoError
 from glissando.estimation.channels import place_in_channel
-from glissando.estimation.evidence import prior_equations, proper
+from glissando.estimation.evidence import log_normalizer
 from glissando.estimation.starting_point import with_parameters
 from glissando.geometry.se3 import Array
 from glissando.io.robot_file import parse_robot
@@ -166,11 +166,10 @@ class _Linearized:
         return with_parameters(located, self._start.sensor_parameters)
 
     def _width_of(self, at: NormalEquations, robot: Robot) -> float:
-        """½ (log det A − log det A₀ + log det R); of R the prior's part is in A₀."""
+        """½ (log det A + log det R) less what normalises the prior's factors together."""
+        whole = 0.5 * (factor(at.system).log_det + at.log_det_noise)
         grid, prior = self._case.grid(robot), robot.prior
-        alone = proper(prior, prior_equations(prior, grid, at.state, at.state))
-        log_det = at.log_det_noise - sum(terms.log_det_cov() for terms in at.prior_terms())
-        return 0.5 * (log_det + factor(at.system).log_det - factor(alone).log_det)
+        return whole - log_normalizer(prior, grid, at.state, at.state)
 
     def change_of_width(self, robot: Robot, nudge: float) -> float:
         """What changes of log determinants to another robot and its estimate, by its `nudge`."""
