@@ -25,13 +25,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from glissando.calibration.robot.learn_tendons import TendonData, learn_tendons
-from glissando.calibration.robot.tendon_numbers import TIP
 from glissando.errors import GlissandoError
 from glissando.estimation.tendon_prediction import predict_tip
 from glissando.geometry.se3 import Array
 from glissando.io.foreign.servo_csv import read_servo_csv
 from glissando.io.robot_file import load_robot
 from glissando.model.robot import Robot
+from glissando.model.tendons.replicate import TIP
 from script import run
 
 ROBOTS = Path(__file__).parent / "tendon_robots"

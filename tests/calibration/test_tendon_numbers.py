@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando.calibration.robot.learn_tendons import TendonData
+from glissando.calibration.robot.learn_tendons import TendonData, learn_tendons
 from glissando.calibration.robot.tendon_numbers import TendonModel
+from glissando.estimation.tendon_prediction import predict_tip
+from glissando.model.tendons.tendon_rod import replicated
 from tendon_robot import tendon_robot
 
 
@@ -42,3 +44,20 @@ def test_commands_that_pull_alike_are_left_out_together():
     np.testing.assert_array_equal(block[:, 1], np.arange(9) % 6)
     circling = TendonData.of(np.abs(pulled) + 1e-3, np.zeros((72, 3))).block
     assert set(circling) == set(range(6))
+
+
+def test_each_replicate_is_what_was_learned_without_one_block():
+    """So its errors on that block are those of the block left out."""
+    rng, robot = np.random.default_rng(4), tendon_robot(play=1e-4)
+    model = TendonModel.of(robot, 6)
+    truth = 0.7 * rng.standard_normal(model.std.size) * model.std
+    pulled = np.repeat(np.eye(6), 10, axis=0) * np.tile(np.linspace(0.0, 3e-3, 10), 6)[:, None]
+    tip = model.tip(truth, model.reached(truth, pulled))[0] + 3e-4 * rng.standard_normal((60, 3))
+    data = TendonData.of(pulled, tip)
+    learned = learn_tendons(robot, data)
+    replicates = list(replicated(learned.robot))
+    assert len(replicates) == 6
+    for block, each in enumerate(replicates):
+        rows = data.block == block
+        off = tip[rows] - predict_tip(each, pulled, "tip")[0][rows]
+        np.testing.assert_allclose(off, learned.held_out[rows], atol=1e-8)

@@ -17,7 +17,6 @@ from glissando.calibration.robot.case import RecordingCase
 from glissando.calibration.robot.hyperparameters import Parameter, moved
 from glissando.calibration.robot.learn import End, Learned
 from glissando.calibration.robot.predictive import Score
-from glissando.calibration.robot.tendon_numbers import TIP
 from glissando.cli import learn as learn_command
 from glissando.cli import learn_tendons, outputs
 from glissando.cli.learn_report import _cells, _held_out_cells, as_json
@@ -25,6 +24,7 @@ from glissando.evaluation.run import run_estimate
 from glissando.io.recording_folder import load_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.tendons.replicate import TIP
 from learn_drawn import same_process
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "closed_form_motion.py"

@@ -9,7 +9,11 @@ import pytest
 from glissando.errors import FalseConfidenceWarning, GlissandoError
 from glissando.estimation.tendon_prediction import predict, predict_tip
 from glissando.geometry import se3
-from tendon_robot import LENGTH, tendon_robot
+from glissando.io.robot_file import load_robot
+from glissando.io.robot_writer import save_robot
+from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.tendons.replicate import Replicate
+from tendon_robot import LENGTH, STIFFNESS, tendon_robot
 
 TIME = np.zeros(1)
 
@@ -102,3 +106,94 @@ def test_a_single_time_and_place_are_taken_as_they_are():
     np.testing.assert_allclose(
         alone.position, predict(robot, TIME, commands(1), np.array([LENGTH])).position
     )
+
+
+def with_replicates(robot, count, seed):
+    """A robot with replicates of its numbers, and the robots that these are, built by hand."""
+    rng, tendons, prior = np.random.default_rng(seed), robot.tendons, robot.prior
+    replicates, robots = [], []
+    for _ in range(count):
+        numbers = {
+            "radius": tendons.radius * np.exp(0.03 * rng.standard_normal(6)),
+            "angle": tendons.angle + 0.1 * rng.standard_normal(6),
+            "stiffness": tendons.stiffness * np.exp(0.2 * rng.standard_normal(6)),
+            "slack": 3e-4 * rng.standard_normal(6),
+            "play": 1e-4 * np.abs(rng.standard_normal(6)),
+            "softness": 2e-4 * np.exp(0.2 * rng.standard_normal()),
+        }
+        stiffness = prior.mechanics.stiffness * np.exp(0.1 * rng.standard_normal((2, 6)))
+        rest = np.tile(prior.rest_strain, (2, 1)) + 0.3 * rng.standard_normal((2, 6))
+        mount, frame = 0.01 * rng.standard_normal((2, 6))
+        replicates.append(
+            Replicate(
+                **numbers, section_stiffness=stiffness, rest_strain=rest, mount=mount, frame=frame
+            )
+        )
+        mechanics = replace(prior.mechanics, stiffness=stiffness)
+        marker = [
+            SensorParameter(name, name, ("tip",), value, np.zeros(6))
+            for name, value in (("mount", mount), ("frame", frame))
+        ]
+        robots.append(
+            replace(
+                robot,
+                tendons=replace(tendons, **numbers),
+                mechanics=mechanics,
+                prior=replace(prior, mechanics=mechanics, rest_strain=rest),
+                sensor_parameters=tuple(marker),
+            )
+        )
+    return replace(robot, tendons=replace(tendons, replicates=tuple(replicates))), robots
+
+
+@pytest.mark.parametrize("count", [1, 6])
+def test_replicates_of_what_was_learned_add_the_jackknifes_covariance(count):
+    stated = SensorParameter("f", "frame", ("tip",), np.zeros(6), np.zeros(6))
+    plain = tendon_robot(psd_moment=1e-7, std=1e-4)
+    plain = replace(plain, sensor_parameters=(*plain.sensor_parameters, stated))
+    robot, others = with_replicates(plain, count, seed=count)
+    pulled = 2e-3 * np.random.default_rng(3).uniform(-1.0, 1.0, (5, 6))
+    moved, bare = (predict(each, np.arange(5.0), pulled) for each in (robot, plain))
+    np.testing.assert_array_equal(moved.pose, bare.pose)
+    expected = np.zeros((*bare.cov.shape[:2], 12, 12))
+    for other in (predict(each, np.arange(5.0), pulled) for each in others):
+        turned = se3.log(se3.inverse(bare.pose) @ other.pose)
+        off = np.concatenate([turned, other.strain - bare.strain], axis=-1)
+        expected += (count - 1) / count * off[..., :, None] * off[..., None, :]
+    np.testing.assert_allclose((moved.cov - bare.cov)[..., :12, :12], expected, atol=1e-9)
+
+    (place, cov), (same, without) = (predict_tip(each, pulled, "tip") for each in (robot, plain))
+    np.testing.assert_array_equal(place, same)
+    off = np.stack([predict_tip(each, pulled, "tip")[0] - place for each in others])
+    expected = (count - 1) / count * np.einsum("kmi,kmj->mij", off, off)
+    np.testing.assert_allclose(cov - without, expected, atol=1e-12)
+
+
+def test_replicates_are_written_to_a_robot_file_and_read_as_they_were(tmp_path):
+    robot, _ = with_replicates(tendon_robot(), 6, seed=0)
+    save_robot(robot, tmp_path / "robot.toml")
+    again = load_robot(tmp_path / "robot.toml").tendons.replicates
+    assert len(again) == 6
+    for one, other in zip(robot.tendons.replicates, again, strict=True):
+        for name, value in vars(one).items():
+            np.testing.assert_array_equal(value, getattr(other, name), err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("radius", [0.0045] * 5, "give 6 numbers"),
+        ("stiffness", [-1e4] * 6, "above zero"),
+        ("section_stiffness", [STIFFNESS], "give 2 rows"),
+        ("section_stiffness", [STIFFNESS, [-1.0] * 6], "not above zero"),
+        ("play", [-1e-4] * 6, "zero or more"),
+        ("angles", [0.0] * 6, "did you mean 'angle'"),
+    ],
+)
+def test_a_replicate_of_another_robot_is_a_sentence_that_names_it(key, value, words):
+    robot, _ = with_replicates(tendon_robot(), 2, seed=0)
+    entries = robot.tendons.to_table()["replicates"]
+    entries[1][key] = value
+    with pytest.raises(GlissandoError, match=words) as caught:
+        tendon_robot(replicates=entries)
+    assert "[[replicates]] 2" in str(caught.value)

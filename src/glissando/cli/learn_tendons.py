@@ -17,7 +17,6 @@ from glissando.calibration.robot.learn_tendons import (
     learn_tendons,
     spread,
 )
-from glissando.calibration.robot.tendon_numbers import TIP
 from glissando.cli.outputs import write_robot
 from glissando.errors import RecordingError
 from glissando.geometry import se3
@@ -26,6 +25,7 @@ from glissando.io.csv_stream import Stream
 from glissando.io.recording import Recording
 from glissando.io.robot_file import load_robot
 from glissando.model.robot import Robot
+from glissando.model.tendons.replicate import TIP
 
 _TURNED, _SHIFTED = np.radians(3.0), 5e-3  # of a stated frame, rad and m, beyond which it is said
 _POOR = 0.25  # of how far the tip moves: errors that large are no robot of this file's kind

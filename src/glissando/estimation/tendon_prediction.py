@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glissando.errors import FalseConfidenceWarning, GlissandoError
 from glissando.estimation.state_estimate import StateEstimate
@@ -14,8 +16,8 @@ from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot
 from glissando.model.state import DOF
-from glissando.model.tendons.statics import equilibrium
-from glissando.model.tendons.tendon_rod import TendonRod, mechanical, tendon_rod
+from glissando.model.tendons.statics import Equilibrium, equilibrium
+from glissando.model.tendons.tendon_rod import TendonRod, mechanical, replicated, tendon_rod
 from glissando.model.tendons.tendons import Tendons
 
 _VELOCITY = slice(12, 18)
@@ -30,8 +32,8 @@ def predict(
 
     The robot is in static equilibrium at every time, without loads from outside and without its own
     weight. Covariance is that of [tendons] and [base]: displacements that differ from the commands,
-    where in its play each tendon was at first, moments that the model lacks, and how well it is
-    known where the base stands.
+    where in its play each tendon was at first, moments that the model lacks, how well the numbers
+    of a learned robot are known, and how well where the base stands.
 
     Args:
         robot: Robot with [mechanics] and [tendons].
@@ -73,11 +75,41 @@ def predict(
     cov[..., : _VELOCITY.start, : _VELOCITY.start] = of_shape[:, node]
     by_pull = shape.pose_by(shape.strain_by_displacement())[:, node]
     velocity, cov[..., _VELOCITY, _VELOCITY] = _velocity(rod, time, displacement, by_pull)
-    strain = shape.strain[:, np.maximum(node - 1, 0)]
+    pose, strain = shape.pose()[:, node], _strain(shape, node)
+    off = [
+        np.concatenate(
+            [se3.log(se3.inverse(pose) @ other.pose()[:, node]), _strain(other, node) - strain], -1
+        )
+        for _, other in _replicates(robot, places, displacement, shape)
+    ]
+    cov[..., : _VELOCITY.start, : _VELOCITY.start] += _jackknife(off)
     _warn_beyond(rod.tendons, displacement)
-    prediction = StateEstimate(shape.pose()[:, node], strain, velocity, cov)
+    prediction = StateEstimate(pose, strain, velocity, cov)
     warn_of_weight(robot, float(prediction.std_position.max()))
     return prediction
+
+
+def _strain(shape: Equilibrium, node: NDArray[np.intp]) -> Array:
+    """Strains (M, N, 6) at nodes (N,): those of the pieces before them."""
+    return shape.strain[:, np.maximum(node - 1, 0)]
+
+
+def _replicates(
+    robot: Robot, nodes: Array, displacement: Array, near: Equilibrium
+) -> Iterator[tuple[Robot, Equilibrium]]:
+    """The replicates of a robot, and the shapes that each is pulled into, near the robot's."""
+    for replicate in replicated(robot):
+        rod = tendon_rod(replicate, nodes)
+        pulled = rod.tendons.effective(displacement)
+        yield replicate, equilibrium(rod, displacement=pulled, start=near.strain)
+
+
+def _jackknife(off: list[Array]) -> Array:
+    """The covariance (…, d, d) that n replicates show by what each is off (…, d)."""
+    if not off:
+        return np.zeros(())
+    every = np.stack(off, axis=-1)
+    return np.asarray((len(off) - 1) / len(off) * every @ np.swapaxes(every, -1, -2))
 
 
 def _warn_beyond(tendons: Tendons, displacement: Array) -> None:
@@ -132,14 +164,24 @@ def predict_tip(robot: Robot, displacement: Array, stream: str) -> tuple[Array, 
     rod = tendon_rod(robot, np.zeros(0))
     _warn_beyond(rod.tendons, np.atleast_2d(displacement))
     shape = equilibrium(rod, displacement=rod.tendons.effective(displacement))
-    mount = se3.exp(robot.stated_transform("mount", stream))
-    frame = se3.inverse(se3.exp(robot.stated_transform("frame", stream)))
-    marker = frame @ shape.pose()[:, -1] @ mount
-    lever, turn = se3.adjoint(se3.inverse(mount)), marker[:, :3, :3]
+    marker = _marker(robot, shape, stream)
+    off = [
+        _marker(replicate, other, stream)[:, :3, 3] - marker[:, :3, 3]
+        for replicate, other in _replicates(robot, np.zeros(0), displacement, shape)
+    ]
+    lever = se3.adjoint(se3.exp(-robot.stated_transform("mount", stream)))
+    turn = marker[:, :3, :3]
     cov_pose = shape.cov(rod.tendons.std_in_play(displacement))[:, -1, :6, :6]
     cov = turn @ se3.position_covariance(lever @ cov_pose @ lever.T) @ np.swapaxes(turn, 1, 2)
     noise = robot.sensor_std.get("position", np.zeros(3))
-    return marker[:, :3, 3], cov + np.diag(np.broadcast_to(noise, 3) ** 2)
+    return marker[:, :3, 3], cov + _jackknife(off) + np.diag(np.broadcast_to(noise, 3) ** 2)
+
+
+def _marker(robot: Robot, shape: Equilibrium, stream: str) -> Array:
+    """Poses (M, 4, 4) of a marker at the tip in the frame of its tracker."""
+    mount = se3.exp(robot.stated_transform("mount", stream))
+    frame = se3.exp(-robot.stated_transform("frame", stream))
+    return np.asarray(frame @ shape.pose()[:, -1] @ mount)
 
 
 def _velocity(

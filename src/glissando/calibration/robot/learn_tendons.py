@@ -2,7 +2,8 @@
 
 Numbers of the robot are found by robust least squares with a prior about the robot file they start
 from; derivatives are those of the equilibrium, so that a step costs one solution a shape. The model
-error is that of runs left out: blocks of the recording are predicted from the others in turn.
+error is that of runs left out: blocks of the recording are predicted from the others in turn. The
+numbers without each block say how well the numbers are known.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _STEPS = 25
 _ENOUGH = 0.5  # fall of the cost at which to stop
 _GIVE_UP = 1e6  # damping
 _FAR = 30.0  # times as far as predicted, or as little: the tip is in another unit
-_COVERED, _ELLIPSOID = 0.97, 0.95  # motions to come combine more than those left out do
+_COVERED, _ELLIPSOID = 0.96, 0.95  # motions to come combine more than those left out do
 
 Watch = Callable[[str], None]
 
@@ -100,12 +101,12 @@ def learn_tendons(robot: Robot, data: TendonData, watch: Watch | None = None) ->
     every = np.ones(len(data.tip), dtype=bool)
     numbers = _fit(model, model.start(), data, every, "from all rows", say)
     error = _errors(model, numbers, data)
-    held_out = np.empty_like(error)
+    held_out, without = np.empty_like(error), []
     for block in np.unique(data.block):
         left = data.block == block
-        without_block = _fit(model, numbers, data, ~left, f"without block {block}", say)
-        held_out[left] = _errors(model, without_block, data)[left]
-    learned = model.robot_of(numbers, _model_error(model, numbers, data, held_out))
+        without.append(_fit(model, numbers, data, ~left, f"without block {block}", say))
+        held_out[left] = _errors(model, without[-1], data)[left]
+    learned = model.robot_of(numbers, _model_error(model, numbers, data, held_out), without)
     assert learned.tendons is not None
     most = np.maximum(data.displacement.max(axis=0), 0.0)
     learned = replace(learned, tendons=replace(learned.tendons, learned_to=most))
@@ -206,7 +207,7 @@ def _model_error(model: TendonModel, numbers: Numbers, data: TendonData, error: 
     """The model error (3,) that explains errors (M, 3) of blocks left out.
 
     Its parts (displacements, missing moments, the marker) make the errors most likely under
-    Student's t; all are then scaled so that 97 % of the errors lie inside their 95 % ellipsoid.
+    Student's t; all are then scaled so that 96 % of the errors lie inside their 95 % ellipsoid.
     """
     parts = np.stack(model.error_parts(numbers, data.displacement))
     size = np.sqrt(np.einsum("cmii->c", parts) / len(error))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -14,15 +14,14 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.tendons.replicate import TIP
 from glissando.model.tendons.statics import Equilibrium, equilibrium, misfit
-from glissando.model.tendons.tendon_rod import TendonRod, mechanical, tendon_rod
+from glissando.model.tendons.tendon_rod import TendonRod, mechanical, replicate_of, tendon_rod
 from glissando.model.tendons.tendons import Tendons
 
 Numbers: TypeAlias = Array
 """All numbers of a model as one vector: how far each is from the robot file."""
 
-TIP = "tip"
-"""Name of the stream of the marker at the tip."""
 _NUDGE = 1e-5
 _BENDING, _EXTENSION = slice(3, 5), 2
 _MARKER = ("frame turn", "frame shift", "mount")
@@ -107,13 +106,14 @@ class TendonModel:
         rest[:, _BENDING] += bend[self.segment]
         return replace(self.rod, tendons=self.tendons(numbers), stiffness=stiffness, rest=rest)
 
-    def robot_of(self, numbers: Numbers, errors: Array) -> Robot:
+    def robot_of(self, numbers: Numbers, errors: Array, without: Sequence[Numbers] = ()) -> Robot:
         """The robot that the numbers describe.
 
         Args:
             numbers: The numbers.
             errors: Standard deviation of displacements (m), root density of missing moments
                 (N m^3/2) and standard deviation of the marker's position (m).
+            without: The numbers without each part of what they were learned from.
         """
         of, robot = self._part(numbers), self.robot
         before = mechanical(robot)
@@ -125,7 +125,13 @@ class TendonModel:
         mechanics = replace(before.mechanics, stiffness=stiffness)
         prior = replace(before, mechanics=mechanics, rest_strain=rest)
         std, moment, marker = errors
-        tendons = replace(self.tendons(numbers), std=float(std), psd_moment=float(moment**2))
+        replicates = tuple(replicate_of(self.robot_of(each, errors)) for each in without)
+        tendons = replace(
+            self.tendons(numbers),
+            std=float(std),
+            psd_moment=float(moment**2),
+            replicates=replicates,
+        )
         frame, mount = self._marker(numbers)
         known = [
             SensorParameter(f"{TIP} {kind}", kind, (TIP,), value, np.zeros(6))

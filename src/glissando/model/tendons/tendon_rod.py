@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +12,7 @@ from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.robot import Robot
+from glissando.model.tendons.replicate import EACH, TIP, Replicate
 from glissando.model.tendons.tendons import Tendons
 
 _PIECES = 24  # for a turn of a tendon about the robot, which puts the tip right to 3e-4 of its way
@@ -89,6 +91,41 @@ def tendon_rod(robot: Robot, nodes: Array | None = None) -> TendonRod:
     stiffness = prior.mechanics.stiffness[prior.mechanics.segment(middle)]
     base = prior.base_pose, prior.var_base
     return TendonRod(tendons, every, stiffness, prior.rest.at(middle), *base)
+
+
+def replicated(robot: Robot) -> Iterator[Robot]:
+    """The robots that the replicates of a robot's tendons describe."""
+    prior, tendons = mechanical(robot), robot.tendons
+    if tendons is None:
+        return
+    for replicate in tendons.replicates:
+        mechanics = replace(prior.mechanics, stiffness=replicate.section_stiffness)
+        numbers = {name: getattr(replicate, name) for name in (*EACH, "softness")}
+        yield replace(
+            robot,
+            mechanics=mechanics,
+            tendons=replace(tendons, replicates=(), **numbers),
+            prior=replace(prior, mechanics=mechanics, rest_strain=replicate.rest_strain),
+            sensor_parameters=tuple(
+                replace(stated, value=getattr(replicate, stated.kind))
+                if stated.kind in ("frame", "mount") and TIP in stated.streams
+                else stated
+                for stated in robot.sensor_parameters
+            ),
+        )
+
+
+def replicate_of(robot: Robot) -> Replicate:
+    """The numbers of a robot with tendons as a replicate of another's."""
+    prior, tendons = mechanical(robot), robot.tendons
+    assert tendons is not None
+    return Replicate(
+        **{name: getattr(tendons, name) for name in (*EACH, "softness")},
+        section_stiffness=prior.mechanics.stiffness,
+        rest_strain=np.atleast_2d(prior.rest_strain),
+        frame=robot.stated_transform("frame", TIP),
+        mount=robot.stated_transform("mount", TIP),
+    )
 
 
 def _close(nodes: Array, tendons: Tendons) -> Array:

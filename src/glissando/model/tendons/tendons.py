@@ -19,6 +19,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.mechanics import Mechanics
 from glissando.model.table import Table
 from glissando.model.tendons.channel import Channel
+from glissando.model.tendons.replicate import Replicate, read_replicates
 
 _LONGEST = 50.0  # m of a robot
 _LARGEST_RADIUS = 0.1  # m, beyond which a radius was most likely given in millimetres
@@ -53,6 +54,8 @@ class Tendons:
         psd_moment: Density of bending moments that are not modelled, white along arclength, N² m³.
         learned_to: How far each was pulled (T,) where these numbers were learned, m; infinite where
             nobody says.
+        replicates: These numbers as learned without each part of the recording, which say how well
+            they are known; none where nobody says.
         names: Columns of the tendons in files.
     """
 
@@ -68,6 +71,7 @@ class Tendons:
     std: float = 1e-4
     psd_moment: float = 1e-7
     learned_to: Array = field(default_factory=lambda: np.full(1, np.inf))
+    replicates: tuple[Replicate, ...] = ()
     names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -166,8 +170,11 @@ class Tendons:
             elif not self.straight:
                 table[name] = np.where(np.isinf(value), 0.0, value).tolist()
         table |= {name: float(getattr(self, name)) for name in _SHARED}
-        known = np.isfinite(self.learned_to).all()
-        return table | ({"learned_to": self.learned_to.tolist()} if known else {})
+        if np.isfinite(self.learned_to).all():
+            table["learned_to"] = self.learned_to.tolist()
+        if self.replicates:
+            table["replicates"] = [replicate.to_table() for replicate in self.replicates]
+        return table
 
 
 def read_tendons(robot: Table, length: float, mechanics: Mechanics | None = None) -> Tendons | None:
@@ -202,6 +209,8 @@ def read_tendons(robot: Table, length: float, mechanics: Mechanics | None = None
                 f"reaches {np.max(np.abs(learned_to)):g} m on a robot of {length:g} m; give "
                 f"metres, by which tendons were pulled.",
             )
+    sections = None if mechanics is None else len(mechanics.stiffness)
+    given["replicates"] = read_replicates(table, count, sections)
     table.close()
     _require_units(SimpleNamespace(**given), table.fail)
     tendons = Tendons(names=names, **given)
