@@ -52,13 +52,19 @@ def test_damped_steps_end_nothing():
     assert steps.short
 
 
-def test_steps_that_gain_nothing_for_long_end_where_readings_move_across_nodes():
-    for kinks in (False, True):
-        steps = StepLengths(0.3, kinks=kinks, weighted=False)
-        falling = [steps.stall(10.0 - 0.1 * k) for k in range(10)]
-        assert not any(falling)
-        stalled = [steps.stall(9.0 - 1e-3 * k) for k in range(10)]
-        assert any(stalled) == kinks
+def test_steps_that_gain_nothing_for_long_stall():
+    steps = StepLengths(0.3, kinks=False, weighted=False)
+    assert not any(steps.stall(10.0 - 0.1 * k) for k in range(10))
+    assert any(steps.stall(9.0 - 1e-3 * k) for k in range(10))
+
+
+def test_steps_creep_once_five_in_a_row_were_damped():
+    steps = StepLengths(0.3, kinks=False, weighted=False)
+    crept = []
+    for damped in [True] * 4 + [False] + [True] * 6:
+        steps.note(1.0, damped=damped, renewed=False)
+        crept.append(steps.creep)
+    assert crept == [False] * 9 + [True] * 2
 
 
 def test_weights_that_are_renewed_begin_a_series_of_costs():

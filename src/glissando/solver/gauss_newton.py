@@ -242,13 +242,21 @@ class _Iteration:
         )
         self._damping.adapt(gain)
         settled = self._steps.idle and not gain > WORTHWHILE
-        if self._fixed is not None:
-            settled |= self._steps.stall(self._here.cost_of(self._here))
+        if self._fixed is not None and self._steps.stall(self._here.cost_of(self._here)):
+            settled |= self._here.located.moves or self._creeps_to_its_end(way.cholesky)
         if settled:
             return Outcome.CONVERGED
         if self._damping.exhausted:
             return Outcome.NO_DESCENT
         return Outcome.ITERATION_LIMIT if self._count >= self._options.max_iterations else None
+
+    def _creeps_to_its_end(self, memory: Cholesky) -> bool:
+        """Whether steps are damped, and a whole one with renewed weights would be negligible."""
+        if not self._steps.creep:
+            return False
+        here = self._here = self._fixed = self._at((self._here.state, self._here.located))
+        whole = factor(here.system, memory).solve(here.rhs)
+        return bool(np.sum(whole * here.rhs) < self._options.tolerance**2)
 
     def _at(self, where: Where, fixed: NormalEquations | None = None) -> NormalEquations:
         noise_state, weights = _weights(where, fixed)

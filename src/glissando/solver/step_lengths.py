@@ -22,7 +22,9 @@ class StepLengths:
     what it leaves decides. Steps that shrink unevenly, as they do where weights go to and fro, are
     compared with those three before. Readings that move across nodes leave kinks in the cost,
     below any confidence: steps that no longer shrink are as short as they get, and in a kink
-    itself, where none leads down for long, they may be long and gain nothing. Weights that depend
+    itself, where none leads down for long, they may be long and gain nothing. Where the cost bends
+    more than its linearised residuals say, whole steps leap over the minimum, and damped ones creep
+    up to it: the fall in cost tells that they are near. Weights that depend
     on the state may go to and fro with it, by less than the tolerance: then one side is as good as
     the other.
 
@@ -39,6 +41,7 @@ class StepLengths:
         self._tolerance, self._kinks, self._weighted = tolerance, kinks, weighted
         self.first, self.length, self._renewed = np.nan, np.inf, np.inf
         self._costs: list[float] = []
+        self._damped = 0
         self._moves: list[float] = []
         self.idle = self.short = self.last = self.doubtful = False
 
@@ -55,6 +58,7 @@ class StepLengths:
         if np.isnan(self.first):
             self.first = length
         self._move(length, damped=damped, renewed=renewed)
+        self._damped = self._damped + 1 if damped else 0
         self.idle = not damped and length < _IDLE * self._tolerance
         rate = length / before if before else np.inf
         self.short = not damped and (self._is_short(length, rate) or self._is_over)
@@ -107,9 +111,14 @@ class StepLengths:
             return left < self._tolerance
         return max(length, left) < self._tolerance
 
+    @property
+    def creep(self) -> bool:
+        """Whether all of the last steps were damped."""
+        return self._damped >= _STALLED
+
     def stall(self, cost: float) -> bool:
         """Whether steps gain nothing any more, by the cost after each, with weights held."""
         self._costs.append(cost)
-        if not self._kinks or len(self._costs) <= _STALLED:
+        if len(self._costs) <= _STALLED:
             return False
         return self._costs[-1 - _STALLED] - cost < 0.5 * self._tolerance**2

@@ -23,6 +23,7 @@ ROUNDING = 1e-11
 """A fall in cost this small, relatively, cannot be told from rounding."""
 _GOOD = 0.25  # share above which no other way to take the step is tried
 _SHORTER = (0.5, 0.2)  # parts of a refused step that are tried
+_WATCHED, _SHRINKING = 6, 0.5  # steps beyond a refused one, each such a part of the one before
 
 Where = tuple[State, LocatedReadings]
 """A state, and the readings where the sensor parameters that go with it put them."""
@@ -124,15 +125,21 @@ def _ways(
 ) -> Iterator[tuple[NormalEquations, _Candidate]]:
     """The problem where each candidate leads, as far as its weights exist.
 
-    Last comes where a second step from straight on leads. A step along the tangent of a narrow
-    valley ends high on its side and shorter ones gain little; the next step from there falls back
-    into the valley, farther on (Chamberlain et al., The watchdog technique, 1982).
+    Last come the places where further steps from straight on lead, while they shrink. A step along
+    the tangent of a narrow valley ends high on its side and shorter ones gain little; those that
+    follow fall back into the valley, farther on (Chamberlain et al., The watchdog technique,
+    1982).
     """
     for way in candidates(prior, here, step, bent=bent):
         with suppress(np.linalg.LinAlgError):  # so far off that not even its weights exist
             yield at(way.where, fixed), way
     with suppress(np.linalg.LinAlgError, UnobservableError):
-        high = at(next(candidates(prior, here, step)).where, fixed)
-        onward = factor(high.system).solve(high.rhs)
-        way = _Candidate(next(candidates(prior, high, onward)).where)
-        yield at(way.where, fixed), way
+        high, length = at(next(candidates(prior, here, step)).where, fixed), np.inf
+        for _ in range(_WATCHED):
+            onward = factor(high.system).solve(high.rhs)
+            before, length = length, float(np.sqrt(np.sum(onward * high.rhs)))
+            if not length < _SHRINKING * before:
+                return
+            way = _Candidate(next(candidates(prior, high, onward)).where)
+            high = at(way.where, fixed)
+            yield high, way
