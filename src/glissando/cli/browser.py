@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import ExitStack
 
 import numpy as np
 
+from glissando.cli.say import say
 from glissando.visualization.page import Live
 
 _POINTS = 41  # along the robot
@@ -15,5 +15,5 @@ _POINTS = 41  # along the robot
 def browser_view(length: float, stack: ExitStack) -> Live:
     """A view of a robot of some length, m, served while the stack lasts; says where."""
     view = stack.enter_context(Live(np.linspace(0.0, length, _POINTS)))
-    print(f"Look at {view.address}", file=sys.stderr)
+    say(f"Look at {view.address}")
     return view

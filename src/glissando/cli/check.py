@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from glissando.cli.outputs import (
     require_writable,
     stated,
 )
+from glissando.cli.say import say
 from glissando.cli.shared import (
     Commands,
     ViewData,
@@ -211,7 +211,7 @@ def _checks(
 
 def _say(left: str, number: int, count: int) -> None:
     """A line on stderr before each estimate."""
-    print(f"estimate {number + 1} of {count}, without {left}", file=sys.stderr, flush=True)
+    say(f"estimate {number + 1} of {count}, without {left}")
 
 
 def _table(quantity: str, checks: Sequence[Consistency]) -> Table:

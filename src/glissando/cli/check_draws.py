@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 
 from glissando.cli.console import Console
 from glissando.cli.outputs import stated
 from glissando.cli.progress import working
+from glissando.cli.say import say
 from glissando.cli.shared import chosen_robot
 from glissando.cli.tables import number_table
 from glissando.errors import GlissandoError, RecordingError
@@ -83,10 +83,7 @@ def _robot_and_layout(
     window = tuple(options.window) if options.window else None
     if window is None:
         window = _middle(checked_window(recording, None), _STEPS / robot.time_rate)
-        print(
-            f"Sessions have the readings of {seconds(*window)} s; give --window T0 T1 for others.",
-            file=sys.stderr,
-        )
+        say(f"Sessions have the readings of {seconds(*window)} s; give --window T0 T1 for others.")
     window = checked_window(recording, window)
     chosen, _, _ = chosen_streams(recording, robot, window, options.use, options.truth)
     readings = [r for r in chosen if len(r)]
@@ -95,7 +92,7 @@ def _robot_and_layout(
             f"{recording.name} has no readings from {seconds(*window)} s; give another --window."
         )
     if left := [r.label for r in chosen if not len(r)]:
-        print(f"Without {', '.join(left)}, which read nothing then.", file=sys.stderr)
+        say(f"Without {', '.join(left)}, which read nothing then.")
     return robot, (robot.grid(*window, readings), readings)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from glissando.cli.outputs import (
     stated,
 )
 from glissando.cli.progress import working
+from glissando.cli.say import say
 from glissando.cli.shared import (
     Commands,
     add_choices,
@@ -100,7 +100,7 @@ def _estimate(options: argparse.Namespace) -> int:
     scan = scanned(run.posterior) if options.loads else None
     written = _write(options, run, query, scan, stated(options, robot))
     if complaint:
-        print(f"glissando: {complaint}", file=sys.stderr)
+        say(f"glissando: {complaint}")
     _warn_of_truth(run)
     if options.json:
         more = loads_json(run.posterior, scan) if scan else {}
@@ -136,11 +136,10 @@ def _warn_of_truth(run: Run) -> None:
     errors = pool(run.errors)
     inside = errors.summary()["coverage95_position"]
     if inside is not None and errors.position.size >= _ENOUGH and inside < _FALSE:
-        print(
+        say(
             f"glissando: warning: {100.0 * inside:.0f} % of truth lies inside the ellipsoids that "
             f"should hold 95 %: the robot file is too sure of this robot, or truth is not in its "
-            f"frame. See glissando check, and learn or widen the file.",
-            file=sys.stderr,
+            f"frame. See glissando check, and learn or widen the file."
         )
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
 from glissando.cli.importing import number
 from glissando.cli.outputs import require_writable
 from glissando.cli.progress import working
+from glissando.cli.say import say
 from glissando.cli.shared import (
     Commands,
     add_choices,
@@ -93,7 +93,7 @@ def _figure(options: argparse.Namespace) -> int:
         save_figure(drawn, options.out)
     print(f"Wrote {options.out}")
     if shown.complaint:
-        print(f"glissando: {shown.complaint}", file=sys.stderr)
+        say(f"glissando: {shown.complaint}")
     return 0 if shown.posterior.solve.converged else 1
 
 

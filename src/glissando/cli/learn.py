@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from glissando.cli.learn_report import as_json, print_report, steps_of
 from glissando.cli.learn_tendons import is_of_tendons, learn_from_tendons
 from glissando.cli.outputs import LEARNED, require_replaceable, require_writable, write_robot
 from glissando.cli.progress import working
+from glissando.cli.say import say
 from glissando.cli.shared import Commands, add_command, names, warn
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.metrics import pool
@@ -160,10 +160,9 @@ def _longest_first(cases: list[RecordingCase]) -> list[RecordingCase]:
 
     longest = max(range(len(cases)), key=lambda i: rows(cases[i]))
     if len(cases) > 1:
-        print(
+        say(
             f"glissando: frames and mounts are found in {cases[longest].recording.name} alone; "
-            f"truth of the other recordings counts as on time.",
-            file=sys.stderr,
+            f"truth of the other recordings counts as on time."
         )
     return [cases[longest], *cases[:longest], *cases[longest + 1 :]]
 
@@ -172,22 +171,19 @@ def _ended(result: Learned, unjudged: str, options: argparse.Namespace) -> int:
     """Say on stderr what did not go as it should; the exit status."""
     if result.at_bounds:
         numbers = "; ".join(result.at_bounds)
-        print(
+        say(
             f"glissando: warning: as far as a number may go from its start, a factor of ten "
-            f"thousand, went: {numbers}. Learn on from {options.out} if that is plausible.",
-            file=sys.stderr,
+            f"thousand, went: {numbers}. Learn on from {options.out} if that is plausible."
         )
     if result.end is not End.SETTLED:
-        print(
+        say(
             f"glissando: the search ended after {steps_of(result)}: {result.end.value}. "
-            f"{options.out} holds what was learned.",
-            file=sys.stderr,
+            f"{options.out} holds what was learned."
         )
     if unjudged:
-        print(
+        say(
             f"glissando: {options.out} holds what was learned, but the truth that was held out "
-            f"cannot be judged: {unjudged}",
-            file=sys.stderr,
+            f"cannot be judged: {unjudged}"
         )
     if result.end is End.INTERRUPTED:
         return 130
@@ -228,7 +224,7 @@ def _parameters(
     everything = learnable(document, kinds, alike=options.alike)
     for kind, why in silent.items():
         if not options.only or _matches(f"{kind} noise", options.only):
-            print(f"glissando: {kind} noise is not learned: {why}.", file=sys.stderr)
+            say(f"glissando: {kind} noise is not learned: {why}.")
     chosen = [p for p in everything if not options.only or _matches(p.label, options.only)]
     for words in options.only or ():
         if everything and not any(_matches(p.label, [words]) for p in everything):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,6 +17,7 @@ from glissando.calibration.robot.learn_tendons import (
     spread,
 )
 from glissando.cli.outputs import write_robot
+from glissando.cli.say import say
 from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
@@ -63,13 +63,13 @@ def learn_from_tendons(
     parts = [_rows(recording, *window) for recording in recordings]
     displacement, tip = (np.concatenate(column) for column in zip(*parts, strict=True))
     robot = load_robot(options.robot)
-    learned = learn_tendons(robot, TendonData.of(displacement, tip), _say)
+    learned = learn_tendons(robot, TendonData.of(displacement, tip), say)
     write_robot(_document(document, learned.robot), options.robot, options.out)
     report = _report(learned, len(tip), str(options.out))
     if moved := _frame_moved(robot, learned.robot):
-        _say(moved)
+        say(moved)
     if learned.held_out_rmse > _POOR * spread(tip):
-        _say(
+        say(
             f"! Rows left out err by {100 * learned.held_out_rmse / spread(tip):.0f} % of how far "
             f"the tip moves: are tendons in the order and of the sign that {options.robot} says, "
             f"positive when pulled, and angles in radians?"
@@ -86,10 +86,6 @@ def learn_from_tendons(
         f"glissando predict --robot {options.out} --tendons commands.csv --out predicted"
     )
     return 0
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
 
 
 def _frame_moved(before: Robot, learned: Robot) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -22,6 +21,7 @@ from glissando.cli.browser import browser_view
 from glissando.cli.interrupts import until_interrupted
 from glissando.cli.outputs import require_writable
 from glissando.cli.record import add_slide, further_paths, refuse_idle_slide, slide_path
+from glissando.cli.say import say
 from glissando.cli.shared import Commands, add_command, warn
 from glissando.cli.unused_options import refuse_unused
 from glissando.errors import GlissandoError
@@ -246,7 +246,7 @@ class _Status:
             self._line = Line(Text(waiting), console=self._console, transient=True)
             self._line.start()
         else:
-            print(waiting, file=sys.stderr, flush=True)
+            say(waiting)
         return self
 
     def __exit__(self, *raised: object) -> None:
@@ -270,7 +270,7 @@ class _Status:
         if self._line is not None:
             self._line.update(Text(text()))
         else:
-            print(text(), file=sys.stderr, flush=True)
+            say(text())
 
     def _text(self) -> str:
         last, smoother = self._recent[-1], self._session.smoother

@@ -19,6 +19,7 @@ from typing import Any
 from glissando import __version__
 from glissando.cli.commands import COMMANDS
 from glissando.cli.plugins import add_plugins, import_plugins
+from glissando.cli.say import say
 from glissando.errors import (
     FalseConfidenceWarning,
     GlissandoError,
@@ -85,29 +86,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 sys.stdout.flush()
             return status
     except NoShapeError as problem:
-        print(f"glissando: {problem}", file=sys.stderr)
+        say(f"glissando: {problem}")
         return 1
     except GlissandoError as problem:
-        print(f"glissando: {problem}", file=sys.stderr)
+        say(f"glissando: {problem}")
         return 2
     except BrokenPipeError:  # whoever read the output has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
-        print(f"glissando: {where}{problem.strerror or problem}", file=sys.stderr)
+        say(f"glissando: {where}{problem.strerror or problem}")
         return 2
     except MemoryError:
-        print(
+        say(
             "glissando: this needs more memory than there is; choose a shorter time, fewer nodes "
-            "in the robot file, or a larger machine.",
-            file=sys.stderr,
+            "in the robot file, or a larger machine."
         )
         return 2
     except (KeyboardInterrupt, SystemError) as problem:
         if not is_interrupt(problem):
             raise
-        print("glissando: interrupted", file=sys.stderr)
+        say("glissando: interrupted")
         return 130
 
 
@@ -171,7 +171,7 @@ def _own_warnings_shown() -> Iterator[None]:
                 show(message, category, *args)
             elif str(message) not in shown:
                 shown.add(str(message))
-                print(f"glissando: {message}", file=sys.stderr)
+                say(f"glissando: {message}")
 
         for category in _OWN:
             warnings.simplefilter("always", category)

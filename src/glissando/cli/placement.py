@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 
 import numpy as np
 from rich.table import Table
@@ -13,6 +12,7 @@ from glissando.cli.console import Console
 from glissando.cli.outputs import stated
 from glissando.cli.plan_task import stage_of
 from glissando.cli.progress import working
+from glissando.cli.say import say
 from glissando.cli.tables import number_table
 from glissando.cli.unused_options import refuse_unused
 from glissando.errors import GlissandoError
@@ -49,16 +49,14 @@ def place(options: argparse.Namespace) -> int:
         problem = placement_problem(robot, candidates, zones, horizon=options.horizon)
         placements = list(place_sensors(problem, budgets))
     if problem.horizon < options.horizon:
-        print(
+        say(
             f"glissando: sensors read for {problem.horizon:g} s, not {options.horizon:g} s: as "
-            f"many time nodes of this robot as fit a thousand numbers",
-            file=sys.stderr,
+            f"many time nodes of this robot as fit a thousand numbers"
         )
     if unknown := [p.name for p in robot.sensor_parameters if not p.known]:
-        print(
+        say(
             f"glissando: of a sensor nothing counts as unknown but its noise: {', '.join(unknown)} "
-            f"of the robot left out, so positions are known less well than is said",
-            file=sys.stderr,
+            f"of the robot left out, so positions are known less well than is said"
         )
     report = {
         "zones": options.zone,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 
 import numpy as np
 
 from glissando.cli.outputs import stated
 from glissando.cli.progress import working
+from glissando.cli.say import say
 from glissando.io.atomic_file import write_table, write_text
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.provenance import write_report
@@ -40,7 +40,7 @@ def plan_scene(options: argparse.Namespace) -> int:
     scene = read_scene(options.scene, robot)
     problem = motion_problem(scene, robot)
     for sentence in idle_obstacles(scene, robot):
-        print(f"glissando: warning: {sentence}", file=sys.stderr)
+        say(f"glissando: warning: {sentence}")
     with working("planning") as work:
         plan = plan_motion(problem, seed=options.seed, progress=work.update)
     report = _report(plan)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 from glissando.cli.importing import number
 from glissando.cli.outputs import require_writable
 from glissando.cli.progress import working
+from glissando.cli.say import say
 from glissando.cli.shared import Commands, add_command, names
 from glissando.errors import GlissandoError
 from glissando.estimation.tendon_prediction import predict, predict_tip
@@ -93,7 +93,7 @@ def _predict(options: argparse.Namespace) -> int:
     places = np.unique(given) if given else robot.arclength_nodes
     time, displacement = read_tendon_commands(options.tendons, robot.tendons.names)
     for doubt in _doubts(time, displacement, robot.tendons):
-        print(f"glissando: warning: {doubt}", file=sys.stderr)
+        say(f"glissando: warning: {doubt}")
     marker = options.stream and file_stem(options.stream)
     placed = [p.streams for p in robot.sensor_parameters if p.kind in ("frame", "mount")]
     if marker and not any(marker in streams for streams in placed):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -20,6 +19,8 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+
+from glissando.cli.say import say
 
 EVERY = 5.0
 """Seconds between lines where stderr is no terminal."""
@@ -117,7 +118,7 @@ def working(doing: str) -> Iterator[Work]:
 
 def _show_lines(work: Work, over: threading.Event, _: Console) -> None:
     while not over.wait(EVERY):
-        print(f"glissando: {work.line()}", file=sys.stderr, flush=True)
+        say(f"glissando: {work.line()}")
 
 
 def _show_bar(work: Work, over: threading.Event, console: Console) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import shutil
-import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,6 +16,7 @@ from rich.table import Table
 
 from glissando.cli.outputs import require_writable
 from glissando.cli.progress import working
+from glissando.cli.say import say
 from glissando.cli.shared import Commands, add_command, findings_in, warn
 from glissando.cli.simulate import add_channel
 from glissando.cli.unused_options import refuse_unused
@@ -124,7 +124,7 @@ def _record(options: argparse.Namespace) -> int:
             if options.live:
                 view = live_estimate(rig, BrowserView, follow)
                 address, on_message = stack.enter_context(view)
-                print(f"Look at {address}", file=sys.stderr)
+                say(f"Look at {address}")
             further = further_paths(options, rig)
             _capture_shown(rig, path, further, options.out, on_message)
             status = 0
@@ -259,14 +259,14 @@ def _keep(rig: Rig, options: argparse.Namespace, *, quietly: bool = False) -> No
     try:
         warnings = write_recording(session, rig, folder)
     except GlissandoError:
-        print(f"{whole}; glissando estimate {quote(str(folder))} reads it.", file=sys.stderr)
+        say(f"{whole}; glissando estimate {quote(str(folder))} reads it.")
         if not quietly:
             raise
         return
     if options.setup:
         write_text(folder / "setup.toml", options.setup.read_text(encoding="utf-8"))
     if quietly:
-        print(f"{whole} and beside it.", file=sys.stderr)
+        say(f"{whole} and beside it.")
         return
     counts = ", ".join(f"{len(t.messages)} {name}" for name, t in session.topics.items())
     print(f"Wrote {folder}: {counts}. Now: glissando estimate {quote(str(folder))} --out results")

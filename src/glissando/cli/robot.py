@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from shlex import quote
 
+from glissando.cli.say import say
 from glissando.cli.shared import Commands, add_command, names
 from glissando.errors import GlissandoError
 from glissando.io.atomic_file import write_text
@@ -96,10 +97,9 @@ def _robot(options: argparse.Namespace) -> int:
     write_text(out, robot_text(outline) + physics)
     bare = [kind for kind in outline.sensors if ":" not in kind]
     if bare:
-        print(
+        say(
             f"{', '.join(bare)} name no stream, so their mounts and drifts count as known: give "
-            f"KIND:STREAM for what may be mounted a little off.",
-            file=sys.stderr,
+            f"KIND:STREAM for what may be mounted a little off."
         )
     robot = f"--robot {quote(str(out))}"
     estimate = f"estimate RECORDING {robot} --out results"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import TypeAlias
 from glissando.cli.commands import COMMANDS
 from glissando.cli.pairing import other_readings, require_pair
 from glissando.cli.progress import Descent, working
+from glissando.cli.say import say
 from glissando.cli.unused_options import refuse_unused
 from glissando.errors import (
     EstimateWarning,
@@ -100,18 +100,16 @@ def chosen_robot(recording: Recording, name: str | None) -> Robot:
         )
     own = recording.robot.length if recording.robot else robot.length
     if abs(robot.length - own) > _AS_LONG * own:
-        print(
+        say(
             f"glissando: warning: {robot.name} is {robot.length:g} m long, the robot that "
-            f"{recording.name} names {own:g} m.",
-            file=sys.stderr,
+            f"{recording.name} names {own:g} m."
         )
     named = dict.fromkeys(s for p in robot.sensor_parameters for s in p.streams)
     lacking = [stream for stream in named if stream not in recording.streams]
     if lacking:
-        print(
+        say(
             f"glissando: warning: sensor parameters of {robot.name} are for {listed(lacking)}, "
-            f"which {recording.name} lacks; its streams are {', '.join(recording.streams)}.",
-            file=sys.stderr,
+            f"which {recording.name} lacks; its streams are {', '.join(recording.streams)}."
         )
     return robot
 
@@ -157,7 +155,7 @@ def estimate_watched(
             warnings.warn(each.message, stacklevel=2)
     warn(run.findings)
     if run.posterior.solve.doubt:
-        print(f"glissando: warning: {run.posterior.solve.doubt}", file=sys.stderr)
+        say(f"glissando: warning: {run.posterior.solve.doubt}")
     complaints = [w for w in caught if issubclass(w.category, NotConvergedWarning)]
     return run, str(complaints[0].message) if complaints else ""
 
@@ -165,7 +163,7 @@ def estimate_watched(
 def warn(findings: Sequence[Finding]) -> None:
     """Print findings on stderr, a line each."""
     for finding in findings:
-        print(f"glissando: warning ({finding.name}): {finding.sentence}", file=sys.stderr)
+        say(f"glissando: warning ({finding.name}): {finding.sentence}")
 
 
 def findings_in(folder: Path) -> list[Finding]:
@@ -233,7 +231,7 @@ def posterior_shown(options: argparse.Namespace) -> ViewData:
         return ViewData(posterior, [], [], options.target.resolve().name, "", known)
     recording = load_recording(options.recording)
     if others := other_readings(target, options.recording):
-        print(f"glissando: warning: {others}", file=sys.stderr)
+        say(f"glissando: warning: {others}")
     robot = chosen_robot(recording, options.robot)
     streams = streams_of(posterior, recording, robot, options)
     return ViewData(posterior, *streams, recording.name, "", robot)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from glissando.cli.outputs import PAGE, require_replaceable, require_writable
 from glissando.cli.progress import working
+from glissando.cli.say import say
 from glissando.cli.shared import Commands, add_choices, add_command, posterior_shown
 from glissando.cli.unused_options import refuse_unused
 from glissando.io.atomic_file import write_text
@@ -72,5 +72,5 @@ def _view(options: argparse.Namespace) -> int:
         write_text(options.html, page(scene, shown.title, subtitle(posterior, scene)))
         print(f"Wrote {options.html}; open it in a browser.")
     if shown.complaint:
-        print(f"glissando: {shown.complaint}", file=sys.stderr)
+        say(f"glissando: {shown.complaint}")
     return 0 if posterior.solve.converged else 1
