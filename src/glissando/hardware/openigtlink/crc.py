@@ -1,7 +1,7 @@
 """The CRC-64 of OpenIGTLink: ECMA-182, most significant bit first, beginning at zero.
 
 The checksum is linear: that of a message is the sum (XOR) of its words' checksums, each shifted by
-the bytes that follow it. Neighbouring words are therefore folded by sixteen, all at once.
+the bytes that follow it. Neighbouring words are therefore folded in pairs, all at once.
 Source: ECMA-182, annex B; the protocol's own name for it is crc64.
 """
 
@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 _POLYNOMIAL = 0x42F0E1EBA9EA3693
 _WORD = 8  # bytes
-_FOLD = 16  # words that become one
-_ROWS = 256 * np.arange((_FOLD - 1) * _WORD)  # where the table of each byte begins
+_ROWS = 256 * np.arange(_WORD)  # where the table of each byte begins
 
 Words = NDArray[np.uint64]
 
@@ -28,35 +27,17 @@ def crc64(data: bytes) -> int:
     words = np.frombuffer(padded or bytes(_WORD), dtype=">u8").astype("<u8")
     span = _WORD
     while words.size > 1:
-        front = np.zeros(-words.size % _FOLD, dtype="<u8")
-        groups = np.concatenate([front, words]).reshape(-1, _FOLD)
-        words = _folded(groups[:, :-1], span) ^ groups[:, -1]
-        span *= _FOLD
+        if words.size % 2:
+            words = np.concatenate([[np.uint64(0)], words])
+        words = _shifted(words[::2], span) ^ words[1::2]
+        span *= 2
     return int(_shifted(words, _WORD)[0])
-
-
-def _folded(groups: Words, span: int) -> Words:
-    """The sums (M,) of words (M, 15) of which each is `span` bytes before the next, and the end."""
-    count = len(groups)
-    each = np.ascontiguousarray(groups).view(np.uint8).reshape(count, -1)
-    rows = np.ascontiguousarray(each.T) + _ROWS[:, None]
-    out: Words = np.bitwise_xor.reduce(_fold_tables(span).take(rows), axis=0)
-    return out
-
-
-@lru_cache(maxsize=16)
-def _fold_tables(span: int) -> Words:
-    """Tables of words that are 15, 14, … 1 spans from the end, in turn; (15 · 8 · 256,)."""
-    tables = [_tables(span)]
-    while len(tables) < _FOLD - 1:
-        tables.append(np.stack([_shifted(row, span) for row in tables[-1]]))
-    return np.concatenate(tables[::-1]).ravel()
 
 
 def _shifted(words: Words, span: int) -> Words:
     """The checksums (M,) that words (M,) leave after `span` zero bytes."""
-    each = words.astype("<u8").view(np.uint8).reshape(-1, _WORD)
-    out: Words = np.bitwise_xor.reduce(_tables(span).take(each + _ROWS[:_WORD]), axis=1)
+    each = np.ascontiguousarray(words, dtype="<u8").view(np.uint8).reshape(-1, _WORD)
+    out: Words = np.bitwise_xor.reduce(_tables(span).take(each + _ROWS), axis=1)
     return out
 
 
