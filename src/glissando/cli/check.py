@@ -205,13 +205,13 @@ def _checks(
     if errors or options.leave_out:
         checks += check_readings(shown.posterior, shown.readings, robot.sensor_parameters)
     if options.leave_out:
-        checks += leave_out(robot, shown.posterior.grid, shown.readings, _say)
+        checks += leave_out(
+            robot,
+            shown.posterior.grid,
+            shown.readings,
+            lambda left, at, count: say(f"estimate {at + 1} of {count}, without {left}"),
+        )
     return checks, errors, robot, shown
-
-
-def _say(left: str, number: int, count: int) -> None:
-    """A line on stderr before each estimate."""
-    say(f"estimate {number + 1} of {count}, without {left}")
 
 
 def _table(quantity: str, checks: Sequence[Consistency]) -> Table:

@@ -15,7 +15,6 @@ from glissando.cli.tables import number_table
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.evaluation.simulation_based import SimulationCheck, simulate_and_rank
-from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import renewed_folder
 from glissando.io.provenance import write_report
 from glissando.io.recording_folder import load_recording
@@ -114,15 +113,11 @@ def _print(robot: Robot, check: SimulationCheck) -> None:
     table.add_column("ranks", overflow="fold")
     for c in check.checks:
         verdict = "uniform" if c.p_value >= check.p_limit else "not uniform"
-        shares = (f"{100 * _share(c.ranks, *ends):.0f} %" for ends in ((-1.0, 0.05), (0.95, 1.0)))
+        ends = c.ranks <= 0.05, c.ranks > 0.95
+        shares = (f"{100 * ranks.mean():.0f} %" for ranks in ends)
         table.add_row(c.name, f"{c.p_value:.2g}", *shares, verdict)
     Console().print(table)
     if check.not_converged:
         print(f"{check.not_converged} of {count} estimates did not converge.")
     inside = "All ranks are" if not check.outside else f"{len(check.outside)} quantities are not"
     print(f"{inside} uniform inside simultaneous {100 * check.level:g} % bands.\n")
-
-
-def _share(ranks: Array, low: float, high: float) -> float:
-    """Share of ranks between two values."""
-    return float(((ranks > low) & (ranks <= high)).mean())

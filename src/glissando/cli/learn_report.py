@@ -6,14 +6,13 @@ import math
 from pathlib import Path
 from typing import Any
 
-from glissando.calibration.robot.hyperparameters import Document, Parameter
+from glissando.calibration.robot.hyperparameters import Parameter
 from glissando.calibration.robot.learn import Learned
 from glissando.cli.console import Console
 from glissando.cli.tables import number_table, parameter_text
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.io.robot_file import parse_robot
-from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.table import Table
 
 
@@ -60,11 +59,6 @@ def _cells(way: dict[str, Any]) -> tuple[str, str]:
     return f"× {way['factor']:.3g}", within
 
 
-def _parameters_of(document: Document) -> tuple[SensorParameter, ...]:
-    """The sensor parameters of a robot file."""
-    return parse_robot(Table(document, "learned", GlissandoError)).sensor_parameters
-
-
 def print_report(result: Learned, report: dict[str, Any], std: dict[str, Array]) -> None:
     """Print what was learned, with standard deviations of constants by name."""
     console = Console()
@@ -72,10 +66,8 @@ def print_report(result: Learned, report: dict[str, Any], std: dict[str, Array])
     for p in report["parameters"]:
         table.add_row(p["name"], f"{p['value']:.4g}", *_cells(p))
     console.print(table)
-    constants = [
-        *result.after.constants,
-        *(p for p in _parameters_of(result.document) if p.name in std),
-    ]
+    learned = parse_robot(Table(result.document, "learned", GlissandoError)).sensor_parameters
+    constants = [*result.after.constants, *(p for p in learned if p.name in std)]
     for c in constants:
         text = parameter_text(c.kind, c.value.tolist(), std.get(c.name, 0.0 * c.value).tolist())
         left = " (of this recording, not written)" if c.kind == "time_offset" else ""

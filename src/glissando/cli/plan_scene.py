@@ -57,6 +57,7 @@ def plan_scene(options: argparse.Namespace) -> int:
 
 def _report(plan: MotionPlan) -> dict[str, object]:
     at = plan.evaluation
+    apart = at.clearances.mean  # of the body and obstacles
     tip = np.sqrt(np.einsum("kii->k", at.cov[:, -1]))
     return {
         "risk": plan.risk,
@@ -65,19 +66,13 @@ def _report(plan: MotionPlan) -> dict[str, object]:
         "delta": plan.problem.scene.delta,
         "miss": plan.miss,
         "tip_std": float(tip[-1]),
-        "clearance": _clearance(plan),
+        "clearance": float(apart.min()) + plan.problem.wider if apart.size else None,
         "cost": at.cost,
         "terms": at.terms,
         "correction_speed": correction_speed(plan.problem, at),
         "units": "m, s, m/s; risks are probabilities",
         "warning": plan.warning,
     }
-
-
-def _clearance(plan: MotionPlan) -> float | None:
-    """Least expected distance of the body from an obstacle, m, if there is one."""
-    mean = plan.evaluation.clearances.mean
-    return float(mean.min()) + plan.problem.wider if mean.size else None
 
 
 def _sentence(report: dict[str, object]) -> str:

@@ -31,7 +31,6 @@ from glissando.hardware.capture import (
     write_recording,
 )
 from glissando.hardware.capture.online import OnMessage, live_estimate
-from glissando.hardware.drivers import PositionStage
 from glissando.io.atomic_file import write_text
 from glissando.io.atomic_folder import require_new
 from glissando.io.session_log import read_session
@@ -174,7 +173,9 @@ def slide_path(
         GlissandoError: There is no such path.
     """
     stage, name = (further.stage, further.name) if further else (rig.stage, "")
-    limits = _limits(stage) if stage else SlideLimits(1.0, 1.0, 1.0)
+    limits = SlideLimits(1.0, 1.0, 1.0)
+    if stage is not None:
+        limits = SlideLimits(stage.stroke[1], stage.speed, stage.acceleration)
     lasts = options.duration
     if lasts is not None and lasts > _DAY:
         raise GlissandoError(f"--duration is {lasts:g} s; give a day, {_DAY:g} s, at most.")
@@ -193,10 +194,6 @@ def slide_path(
         )
     drawn_out = next((c.arclength for c in rig.coils if c.slides and c.slide == name), None)
     return read_slide(Path(options.slide), limits, drawn_out)
-
-
-def _limits(stage: PositionStage) -> SlideLimits:
-    return SlideLimits(stage.stroke[1], stage.speed, stage.acceleration)
 
 
 def _capture_shown(

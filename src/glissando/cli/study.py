@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import Any
 
 from glissando.cli.console import Console
 from glissando.cli.outputs import require_results_folder, stated
@@ -63,22 +62,21 @@ def _study(options: argparse.Namespace) -> int:
     require_results_folder(folder)
     resume = options.resume or options.retry
     store = Store(study, folder, resume=resume)
-    todo = [c for c in cells if _is_left(store, c, retry=options.retry)]
+    failed = {key for key, row in store.rows.items() if row["error"] is not None}
+    kept = store.rows.keys() - (failed if options.retry else set())
+    todo = [c for c in cells if c.id not in kept]
     if todo:
         _run(options, todo, store, f"{study.name}: {len(cells) - len(todo):,} kept, now")
     results = summarise(study, store.join(cells).to_pylist())
-    written = [folder / TABLE, *_write(results | stated(options), folder)]
+    summary = folder / "summary.json"
+    write_report(summary, results | stated(options))
+    written = folder / TABLE, summary, save_figure(study_figure(results), folder / "study.png")
     if options.json:
         print(json.dumps(results))
     else:
         print_summary(results, Console())
         Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
     return 1 if results["failed"] else 0
-
-
-def _is_left(store: Store, cell: Cell, *, retry: bool) -> bool:
-    row = store.rows.get(cell.id)
-    return row is None or (retry and row["error"] is not None)
 
 
 def _run(options: argparse.Namespace, todo: list[Cell], store: Store, doing: str) -> None:
@@ -89,9 +87,3 @@ def _run(options: argparse.Namespace, todo: list[Cell], store: Store, doing: str
             work.update(done, len(todo), note)
 
         run_cells(client, todo, store, show)
-
-
-def _write(results: dict[str, Any], folder: Path) -> list[Path]:
-    summary = folder / "summary.json"
-    write_report(summary, results)
-    return [summary, save_figure(study_figure(results), folder / "study.png")]

@@ -85,7 +85,8 @@ def parse_packet(data: bytes, received: float) -> ViconFrame | None:
         elif not values.any():
             missing.append(name)
         else:
-            poses[name] = _pose(values)
+            turn = Rotation.from_euler("XYZ", values[3:]).as_matrix()
+            poses[name] = se3.pose(turn, 1e-3 * values[:3])
     return ViconFrame(number, received, poses, tuple(missing), problems)
 
 
@@ -98,10 +99,6 @@ def _object(item: bytes) -> tuple[str, Array]:
     if not np.all(np.isfinite(values)) or np.abs(values).max() > _FARTHEST_MM:
         return "", values
     return label.split(b"\0", 1)[0].decode("utf-8", "replace").strip(), values
-
-
-def _pose(values: Array) -> Array:
-    return se3.pose(Rotation.from_euler("XYZ", values[3:]).as_matrix(), 1e-3 * values[:3])
 
 
 class ViconStream:

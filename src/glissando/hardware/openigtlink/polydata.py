@@ -87,18 +87,13 @@ class PolyData:
     def unpack(cls, data: bytes) -> Self:
         """From header, points, cells and attributes, which must fill the bytes exactly."""
         rest = _Bytes(data)
-        (count,), *pairs, (attributes,) = _grouped(_HEADER.unpack(rest.take(_HEADER.size)))
+        count, *sizes, attributes = _HEADER.unpack(rest.take(_HEADER.size))
         points = floats(rest.take(12 * count)).reshape(count, 3)
+        pairs = zip(sizes[::2], sizes[1::2], strict=True)  # number and bytes of a kind of cell
         cells = [_unpack_cells(number, rest.take(size), count) for number, size in pairs]
         values = _unpack_attributes(rest, attributes)
         rest.require_end()
         return cls(points, cells[0], cells[1], cells[2], cells[3], values)
-
-
-def _grouped(numbers: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """The header's points, then number and bytes of each kind of cell, then attributes."""
-    pairs = [numbers[k : k + 2] for k in range(1, 9, 2)]
-    return [numbers[:1], *pairs, numbers[9:]]
 
 
 class _Bytes:

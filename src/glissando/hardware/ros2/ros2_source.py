@@ -167,7 +167,8 @@ class Ros2Source:
         else:
             value = pose_of(message, place.name)
             value = value[:3, 3] if kind == "position" else value
-        return reading(self._robot, place, kind, _stream(place.name), time, value, self._slide)
+        stream = place.name.strip("/").replace("/", "_")  # as a file is named
+        return reading(self._robot, place, kind, stream, time, value, self._slide)
 
     def _time(self, message: Any, arrival: float, clock: SessionClock) -> float:
         stamp = message.header.stamp
@@ -183,11 +184,6 @@ class Ros2Source:
             return seconds
         ticks = (stamp.nanosec << 32) // 1_000_000_000
         return clock.of_stamp((stamp.sec << 32) + ticks)
-
-
-def _stream(topic: str) -> str:
-    """A topic as the name of a stream, and of a file."""
-    return topic.strip("/").replace("/", "_")
 
 
 def pose_of(message: Any, name: str) -> Array:

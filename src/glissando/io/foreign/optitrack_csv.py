@@ -40,7 +40,8 @@ def read_motive_csv(path: Path, rate: float | None) -> list[Track]:
         RecordingError: The file holds no objects, or something in it is wrong.
     """
     lines = cells_of(path)
-    settings = _settings(lines[0][1])
+    pairs = zip(lines[0][1][::2], lines[0][1][1::2], strict=False)
+    settings = {name.lower(): value for name, value in pairs}
     scale = _LENGTHS.get(settings.get("length units", "meters").lower())
     if scale is None:
         raise RecordingError(
@@ -68,11 +69,6 @@ def read_motive_csv(path: Path, rate: float | None) -> list[Track]:
     if not tracks:
         raise RecordingError(f"{path.name} holds no rigid bodies or markers; export some of them.")
     return tracks
-
-
-def _settings(cells: list[str]) -> dict[str, str]:
-    """The settings of the first line by their names in small letters."""
-    return {key.lower(): value for key, value in zip(cells[::2], cells[1::2], strict=False)}
 
 
 def _row(lines: list[Line], top: int, title: str) -> list[str]:
