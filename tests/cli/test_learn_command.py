@@ -19,7 +19,8 @@ from glissando.calibration.robot.learn import End, Learned
 from glissando.calibration.robot.predictive import Score
 from glissando.cli import learn as learn_command
 from glissando.cli import learn_tendons, outputs
-from glissando.cli.learn_report import _cells, _held_out_cells, as_json
+from glissando.cli.learn_report import _cells, as_json
+from glissando.cli.tables import truth_cells
 from glissando.evaluation.run import run_estimate
 from glissando.io.recording_folder import load_recording
 from glissando.io.shipped_robots import robot_file
@@ -335,6 +336,6 @@ def test_a_robot_file_that_is_none_is_one_sentence(recording, tmp_path, capsys, 
 def test_what_a_stream_that_was_held_out_does_not_read_has_no_number():
     errors = {"position_rmse": 2e-3, "nees_position": 1.1, "coverage95_position": 0.9}
     held = {**errors, "rotation_rmse": None}
-    assert _held_out_cells(held) == ["2.00", "–", "1.10", "90.0 %"]
+    assert truth_cells(held) == ["2.00", "–", "1.10", "90.0 %"]
     none = {**dict.fromkeys(errors), "rotation_rmse": 0.1}
-    assert _held_out_cells(none) == ["–", "5.73", "–", "–"]
+    assert truth_cells(none) == ["–", "5.73", "–", "–"]

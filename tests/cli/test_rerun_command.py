@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from glissando import GlissandoError, simulate
-from glissando.cli import estimate, outputs, study
+from glissando.cli import estimate, study
 from glissando.cli.main import main
 from glissando.cli.rerun import _written
 from glissando.evaluation.reproduction import SAME, differences
@@ -213,7 +213,7 @@ def cluster_is_away():
 
 
 def test_packages_of_extras_are_asked_for_before_the_work(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(outputs, "find_spec", lambda name: None if name == "h5netcdf" else name)
+    monkeypatch.setattr(estimate, "find_spec", lambda name: None if name == "h5netcdf" else name)
     monkeypatch.setattr(estimate, "estimate_watched", None)
     write_session(simulate(slide="hold", duration=1.0), tmp_path / "rec", "sliding700")
     assert main(["estimate", str(tmp_path / "rec"), "--out", str(tmp_path / "out")]) == 2

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.markup import escape
-from rich.table import Table
 
 from glissando.cli.console import Console
 from glissando.cli.loads import loads_json, print_loads, scanned, write_contacts
 from glissando.cli.outputs import (
-    require_packages,
     require_replaceable,
     require_results_folder,
     stated,
@@ -28,11 +27,11 @@ from glissando.cli.shared import (
     estimate_watched,
     recording_and_robot,
 )
-from glissando.cli.tables import parameter_text, site_table
+from glissando.cli.tables import TRUTH_HEADINGS, parameter_text, site_table, truth_cells
 from glissando.errors import GlissandoError
 from glissando.estimation.contact import ContactScan
 from glissando.estimation.loads import require_mechanics
-from glissando.evaluation.metrics import Errors, pool
+from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import Run, checked_window, write_run
 from glissando.geometry.se3 import Array
 from glissando.io.atomic_folder import renewed_folder
@@ -90,7 +89,12 @@ def _estimate(options: argparse.Namespace) -> int:
         require_mechanics(robot.prior)
     query = _checked_query(options, recording, robot) if options.query else None
     if options.out:
-        require_packages({"netcdf": ("h5netcdf", "h5py"), "plot": ("matplotlib",)})
+        if missing := [name for name in _NEEDED if find_spec(name) is None]:
+            extras = ",".join(dict.fromkeys(_NEEDED[name] for name in missing))
+            raise GlissandoError(
+                f"--out needs {', '.join(missing)}, not installed: run pip install "
+                f"'glissando[{extras}]'."
+            )
         require_results_folder(options.out)
     elif options.animate or options.view:
         wish = "--animate" if options.animate else "--view"
@@ -116,12 +120,7 @@ def _estimate(options: argparse.Namespace) -> int:
 
 _ENOUGH, _FALSE = 50, 0.7  # samples of truth, and the share inside 95 % that is warned of
 _SHOWN = 5  # times of readings that were not used
-_COLUMNS = (  # heading, key of the summary, scale, format
-    ("position (mm)", "position_rmse", 1e3, "{:.2f}"),
-    ("rotation (deg)", "rotation_rmse", 180.0 / np.pi, "{:.2f}"),
-    ("NEES / dof", "nees_position", 1.0, "{:.2f}"),
-    ("inside 95 %", "coverage95_position", 100.0, "{:.1f} %"),
-)
+_NEEDED = {"h5netcdf": "netcdf", "h5py": "netcdf", "matplotlib": "plot"}  # by --out, of an extra
 
 
 def _pulled(run: Run) -> bool:
@@ -170,22 +169,15 @@ def _print(run: Run, console: Console) -> None:
     if not run.errors:
         console.print("No truth inside the window to compare with; name streams with --truth.")
         return
-    headings = ("s (m)", "samples", *(column[0] for column in _COLUMNS))
+    headings = ("s (m)", "samples", *TRUTH_HEADINGS)
     table = site_table("RMSE against truth, and whether its confidence is true", headings)
-    for errors in run.errors:
-        _add_row(table, errors, f"{np.mean(errors.arclength):.4f}")
-    table.add_section()
-    _add_row(table, pool(run.errors), "all")
+    places = *(f"{np.mean(errors.arclength):.4f}" for errors in run.errors), "all"
+    for errors, place in zip([*run.errors, pool(run.errors)], places, strict=True):
+        if place == "all":
+            table.add_section()
+        cells = truth_cells(errors.summary())
+        table.add_row(escape(errors.name), place, str(errors.arclength.size), *cells)
     console.print(table)
-
-
-def _add_row(table: Table, errors: Errors, place: str) -> None:
-    summary = errors.summary()
-    cells = [
-        "–" if (value := summary[key]) is None else pattern.format(scale * value)
-        for _, key, scale, pattern in _COLUMNS
-    ]
-    table.add_row(escape(errors.name), place, str(errors.arclength.size), *cells)
 
 
 def _checked_query(

@@ -9,7 +9,7 @@ from typing import Any
 from glissando.calibration.robot.hyperparameters import Parameter
 from glissando.calibration.robot.learn import Learned
 from glissando.cli.console import Console
-from glissando.cli.tables import number_table, parameter_text
+from glissando.cli.tables import TRUTH_HEADINGS, number_table, parameter_text, truth_cells
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.io.robot_file import parse_robot
@@ -79,21 +79,8 @@ def print_report(result: Learned, report: dict[str, Any], std: dict[str, Array])
         f"{result.after.value:.4f} ({result.before.samples:,} of them)"
     )
     if held_out := report.get("held_out"):
-        headings = "position (mm)", "rotation (deg)", "NEES / dof", "inside 95 %"
-        table = number_table("Truth that was held out", headings, left=("file",))
+        table = number_table("Truth that was held out", TRUTH_HEADINGS, left=("file",))
         for held in held_out:
-            table.add_row(held["file"], *_held_out_cells(held))
+            table.add_row(held["file"], *truth_cells(held))
         console.print(table)
     console.print(f"Wrote {report['out']}", markup=False)
-
-
-def _held_out_cells(held: dict[str, Any]) -> list[str]:
-    """Errors of a stream that was held out, as a table shows them; what it does not read is –."""
-    forms = {
-        "position_rmse": (1e3, "{:.2f}"), "rotation_rmse": (math.degrees(1.0), "{:.2f}"),
-        "nees_position": (1.0, "{:.2f}"), "coverage95_position": (100.0, "{:.1f} %"),
-    }  # fmt: skip
-    return [
-        "–" if held[key] is None else form.format(scale * held[key])
-        for key, (scale, form) in forms.items()
-    ]

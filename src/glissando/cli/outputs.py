@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Mapping, Sequence
-from importlib.util import find_spec
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -141,24 +140,6 @@ def require_results_folder(folder: Path) -> None:
     require_writable(folder)
     if _is_recording(folder):
         raise GlissandoError(f"--out {folder} is a recording; give a folder for the results.")
-
-
-def require_packages(extras: Mapping[str, Sequence[str]]) -> None:
-    """Make sure, before any work is done, that the packages of some extras are installed.
-
-    Args:
-        extras: Modules by the name of the extra that brings them.
-
-    Raises:
-        GlissandoError: One is not installed.
-    """
-    for extra, modules in extras.items():
-        missing = [name for name in modules if find_spec(name) is None]
-        if missing:
-            raise GlissandoError(
-                f"--out needs {', '.join(missing)}, not installed: run pip install "
-                f"'glissando[{extra}]'."
-            )
 
 
 def write_robot(document: dict[str, Any], start: str, out: Path) -> None:

@@ -16,7 +16,7 @@ from glissando.cli.console import Console
 from glissando.cli.outputs import require_results_folder, stated
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_choices, add_command, recording_and_robot
-from glissando.cli.tables import site_table
+from glissando.cli.tables import site_table, truth_cells
 from glissando.errors import GlissandoError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.evaluation.replay import Replay, replay
@@ -170,7 +170,4 @@ def _cells(errors: dict[str, Any] | None, name: str) -> list[str]:
     """RMSEs and coverage of one site, or of all where the name is empty."""
     sites = {s["name"]: s for s in errors["sites"]} if errors else {}
     summary = sites.get(name) if name or not errors else errors["overall"]
-    position, rotation = ("position_rmse", 1e3, ".2f"), ("rotation_rmse", 180 / np.pi, ".2f")
-    keys = position, rotation, ("coverage95_position", 100.0, ".1f")
-    values = [(summary[key] if summary else None, scale, form) for key, scale, form in keys]
-    return ["–" if v is None else f"{scale * v:{form}}" for v, scale, form in values]
+    return truth_cells(summary or {}, ("position_rmse", "rotation_rmse", "coverage95_position"))

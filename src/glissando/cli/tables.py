@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
@@ -13,6 +14,14 @@ _PARAMETER_UNITS = {
     **dict.fromkeys(("arclength_offset", "slide_play"), (("mm", 1e3, 1),)),
     **dict.fromkeys(("time_offset", "slide_lag"), (("ms", 1e3, 1),)),
 }
+_OF_TRUTH = {  # heading, scale and format by the key of a summary
+    "position_rmse": ("position (mm)", 1e3, "{:.2f}"),
+    "rotation_rmse": ("rotation (deg)", math.degrees(1.0), "{:.2f}"),
+    "nees_position": ("NEES / dof", 1.0, "{:.2f}"),
+    "coverage95_position": ("inside 95 %", 100.0, "{:.1f} %"),
+}
+TRUTH_HEADINGS = tuple(heading for heading, *_ in _OF_TRUTH.values())
+"""Over the cells of `truth_cells`."""
 
 
 def number_table(title: str, numbers: Sequence[str], *, left: Sequence[str] = ()) -> Table:
@@ -34,6 +43,18 @@ def site_table(title: str, headings: Sequence[str]) -> Table:
     for heading in headings:
         table.add_column(heading, justify="right")
     return table
+
+
+def truth_cells(
+    summary: Mapping[str, float | None], keys: Sequence[str] = tuple(_OF_TRUTH)
+) -> list[str]:
+    """Errors against truth, as of `Errors.summary`; what truth does not tell is –.
+
+    >>> truth_cells({"position_rmse": 0.00123, "rotation_rmse": None}, ("position_rmse",))
+    ['1.23']
+    """
+    known = [(summary.get(key), *_OF_TRUTH[key][1:]) for key in keys]
+    return ["–" if value is None else form.format(size * value) for value, size, form in known]
 
 
 def parameter_text(kind: str, value: Sequence[float], std: Sequence[float]) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -35,16 +33,15 @@ def new_folder(folder: Path, error: type[GlissandoError]) -> Iterator[Path]:
     """
     require_new(folder, error)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    building = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
+    with tempfile.TemporaryDirectory(
+        prefix=f".{folder.name}-", dir=folder.parent, ignore_cleanup_errors=True
+    ) as place:
+        building = Path(place, folder.name)  # of the usual permissions, unlike the place
+        building.mkdir()
         yield building
-        building.chmod(0o777 & ~_umask())
         if folder.exists():
             folder.rmdir()
         building.rename(folder)
-    except BaseException:
-        shutil.rmtree(building, ignore_errors=True)
-        raise
 
 
 @contextmanager
@@ -80,9 +77,3 @@ def renewed_folder(folder: Path, owned: Collection[str]) -> Iterator[Path]:
             f"{folder} cannot be written to ({problem.strerror or problem}); free space, or give "
             f"another folder."
         ) from problem
-
-
-def _umask() -> int:
-    now = os.umask(0)
-    os.umask(now)
-    return now

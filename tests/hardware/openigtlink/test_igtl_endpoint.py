@@ -17,7 +17,7 @@ from glissando.hardware.openigtlink import contents as c
 from glissando.hardware.openigtlink import endpoint as endpoint_module
 from glissando.hardware.openigtlink import peer_server as peer_server_module
 from glissando.hardware.openigtlink.address import Address
-from glissando.hardware.openigtlink.errors import MalformedError
+from glissando.hardware.openigtlink.fields import MessageError
 from glissando.hardware.openigtlink.framer import Framer
 from glissando.hardware.openigtlink.link import Packet, PacketLink
 from glissando.hardware.openigtlink.peer_server import PeerServer
@@ -87,13 +87,13 @@ def test_a_body_that_is_not_read_takes_no_memory():
 
 @pytest.mark.parametrize("garbage", [b"GET / HTTP/1.1\r\n" * 8, bytes(64), b"\xff" * 64])
 def test_what_is_no_message_ends_the_stream(garbage):
-    with pytest.raises(MalformedError):
+    with pytest.raises(MessageError):
         Framer().feed(garbage)
 
 
 def test_a_message_beyond_the_limit_is_refused_by_its_header():
     wire = encode(Message(c.NumberArray(np.zeros(2000)), "d"))
-    with pytest.raises(MalformedError, match="1000 are read"):
+    with pytest.raises(MessageError, match="1000 are read"):
         Framer(1000).feed(wire[:58])
 
 

@@ -15,13 +15,7 @@ from glissando.errors import DeviceError
 from glissando.hardware.openigtlink import Message, decode, encode, seconds_since, stamp_of
 from glissando.hardware.openigtlink import contents as c
 from glissando.hardware.openigtlink.crc import crc64
-from glissando.hardware.openigtlink.errors import (
-    ChecksumError,
-    MalformedError,
-    MessageError,
-    TruncatedError,
-    UnreadTypeError,
-)
+from glissando.hardware.openigtlink.fields import MessageError
 from glissando.hardware.openigtlink.message import read_header
 from igtl_messages import random_messages
 from oracles.crc64_bitwise import crc64_bitwise
@@ -38,11 +32,7 @@ UNREAD = [
     "TRAJ",
     "VIDEOMETA",
 ]
-CLASSES = {
-    "SHORT_BUFFER": TruncatedError,
-    "MALFORMED": (MalformedError, UnreadTypeError),
-    "CRC_MISMATCH": ChecksumError,
-}
+REASONS = {"SHORT_BUFFER": "read on", "CRC_MISMATCH": "CRC-64"}  # words of no other
 
 
 def test_every_type_that_is_read_is_written_byte_for_byte_as_the_library_writes_it(openigtlink):
@@ -52,7 +42,7 @@ def test_every_type_that_is_read_is_written_byte_for_byte_as_the_library_writes_
         wire = bytes.fromhex(fixture["wire_hex"])
         assert crc64(wire[58:]) == read_header(wire).crc, name
         if fixture["type_id"] in UNREAD:
-            with pytest.raises(UnreadTypeError, match=fixture["type_id"]):
+            with pytest.raises(MessageError, match=fixture["type_id"]):
                 decode(wire)
             continue
         message = decode(wire)
@@ -102,9 +92,12 @@ def test_malformed_messages_are_refused_for_their_reason(openigtlink):
     assert len(entries) == 32
     for name, entry in entries.items():
         wire = (corpus / entry["path"]).read_bytes()
-        with pytest.raises(CLASSES[entry["error_class"]]) as refused:
+        with pytest.raises(MessageError) as refused:
             decode(wire)
-        if isinstance(refused.value, UnreadTypeError):
+        said = str(refused.value)
+        for reason, words in REASONS.items():
+            assert (words in said) == (entry["error_class"] == reason), name
+        if "messages are not read" in said:
             assert read_header(wire).type_id in UNREAD, name
 
 
@@ -157,7 +150,7 @@ def test_a_count_of_four_thousand_million_allocates_nothing(at):
     wire = wire[:50] + crc64(bytes(body)).to_bytes(8, "big") + bytes(body)
     tracemalloc.start()
     try:
-        with pytest.raises(MalformedError):
+        with pytest.raises(MessageError):
             decode(wire)
         assert tracemalloc.get_traced_memory()[1] < 1e6
     finally:
@@ -177,7 +170,7 @@ def test_an_array_of_any_stated_shape_is_read_or_refused(code, shape):
     data = bytes([code, len(shape)]) + np.array(shape, ">u2").tobytes() + bytes(size)
     try:
         assert c.NumberArray.unpack(data).values.shape == tuple(shape)
-    except MalformedError:
+    except MessageError:
         assert count > 16 or len(shape) > 32 or 65535 in shape
 
 

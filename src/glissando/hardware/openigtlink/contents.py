@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from glissando.errors import DeviceError
 from glissando.geometry.se3 import Array
-from glissando.hardware.openigtlink.errors import MalformedError
 from glissando.hardware.openigtlink.fields import (
     FLOAT,
     POSE,
+    MessageError,
     fixed_text,
     floats,
     pack_pose,
@@ -48,12 +48,12 @@ class Content(Protocol):
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """The content of bytes. Raises MalformedError."""
+        """The content of bytes. Raises MessageError."""
 
 
 def _require(good: bool, kind: str, data: bytes) -> None:
     if not good:
-        raise MalformedError(
+        raise MessageError(
             f"A {kind} content of {len(data)} bytes contradicts the protocol; check the sender."
         )
 
@@ -284,7 +284,7 @@ class NumberArray:
         try:
             values = np.frombuffer(data, kind, offset=begin).reshape(shape)
         except ValueError:  # numpy has fewer dimensions than the protocol, and sides overflow it
-            raise MalformedError(
+            raise MessageError(
                 f"An NDARRAY of {len(shape)} sides, {max(shape)} the longest, cannot be held; send "
                 f"one of fewer."
             ) from None

@@ -18,7 +18,7 @@ from typing import Self
 
 from glissando.errors import DeviceError
 from glissando.hardware.openigtlink.address import Address
-from glissando.hardware.openigtlink.errors import MessageError
+from glissando.hardware.openigtlink.fields import MessageError
 from glissando.hardware.openigtlink.link import ARRIVAL, Packet, PacketLink
 from glissando.hardware.openigtlink.message import Message, decode
 

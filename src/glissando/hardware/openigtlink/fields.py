@@ -1,4 +1,4 @@
-"""Fields of messages: texts of fixed size, float32 numbers, poses."""
+"""Fields of messages: texts of fixed size, float32 numbers, poses; the error of all of them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ from glissando.geometry.se3 import Array
 
 FLOAT = np.dtype(">f4")
 POSE = 48  # bytes: three columns of a rotation, then a position
+
+
+class MessageError(DeviceError):
+    """Bytes are no OpenIGTLink message that can be read."""
 
 
 def fixed_text(text: str, size: int) -> bytes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from glissando.hardware.openigtlink.contents import CONTENTS
-from glissando.hardware.openigtlink.errors import MalformedError
+from glissando.hardware.openigtlink.fields import MessageError
 from glissando.hardware.openigtlink.message import HEADER, Header, read_header
 
 
@@ -27,7 +27,7 @@ class Framer:
         """The messages that are whole now, unchecked but for their headers.
 
         Raises:
-            MalformedError: No message begins here, or it is too large: the stream is lost.
+            MessageError: No message begins here, or it is too large: the stream is lost.
         """
         self._held += data
         out: list[bytes] = []
@@ -52,7 +52,7 @@ class Framer:
             self._pass_over = size
             return
         if header.size > self._most:
-            raise MalformedError(
+            raise MessageError(
                 f"A {header.type_id} of {header.size} bytes is refused; {self._most} are read."
             )
         self._size = size

@@ -14,13 +14,7 @@ from dataclasses import dataclass, field
 from glissando.errors import DeviceError
 from glissando.hardware.openigtlink.contents import CONTENTS, Content
 from glissando.hardware.openigtlink.crc import crc64
-from glissando.hardware.openigtlink.errors import (
-    ChecksumError,
-    MalformedError,
-    TruncatedError,
-    UnreadTypeError,
-)
-from glissando.hardware.openigtlink.fields import fixed_text, text_of
+from glissando.hardware.openigtlink.fields import MessageError, fixed_text, text_of
 
 HEADER = 58
 _HEADER = struct.Struct(">H12s20sQQQ")
@@ -122,14 +116,13 @@ def read_header(data: bytes) -> Header:
     """The header that bytes begin with.
 
     Raises:
-        TruncatedError: There are fewer than 58 bytes.
-        MalformedError: The version is unknown.
+        MessageError: There are fewer than 58 bytes, or the version is unknown.
     """
     if len(data) < HEADER:
-        raise TruncatedError(f"A header has {HEADER} bytes, here are {len(data)}; read on.")
+        raise MessageError(f"A header has {HEADER} bytes, here are {len(data)}; read on.")
     version, kind, device, stamp, size, crc = _HEADER.unpack_from(data)
     if version not in _VERSIONS:
-        raise MalformedError(
+        raise MessageError(
             f"The bytes begin with version {version}; OpenIGTLink knows 1 to 3. Check that the "
             f"peer speaks OpenIGTLink."
         )
@@ -143,23 +136,21 @@ def decode(data: bytes) -> Message:
         data: Exactly one message.
 
     Raises:
-        TruncatedError: Bytes are missing.
-        ChecksumError: The body was damaged.
-        UnreadTypeError: The type is none of `CONTENTS`.
-        MalformedError: Sizes contradict each other or the protocol.
+        MessageError: Bytes are missing or damaged, the type is none of `CONTENTS`, or sizes
+            contradict each other or the protocol.
     """
     header = read_header(data)
     body = data[HEADER:]
     if len(body) < header.size:
-        raise TruncatedError(f"The body has {header.size} bytes, here are {len(body)}; read on.")
+        raise MessageError(f"The body has {header.size} bytes, here are {len(body)}; read on.")
     if len(body) > header.size:
-        raise MalformedError(f"{len(body) - header.size} bytes follow the message; cut them off.")
+        raise MessageError(f"{len(body) - header.size} bytes follow the message; cut them off.")
     if header.type_id not in CONTENTS:
-        raise UnreadTypeError(
+        raise MessageError(
             f"{header.type_id!r} messages are not read; known are {', '.join(CONTENTS)}."
         )
     if crc64(body) != header.crc:
-        raise ChecksumError(f"A {header.type_id} message came damaged (CRC-64); check the link.")
+        raise MessageError(f"A {header.type_id} message came damaged (CRC-64); check the link.")
     identity, metadata = 0, dict[str, str]()
     if header.version >= 2:
         identity, metadata, body = _parts(body)
@@ -170,11 +161,11 @@ def decode(data: bytes) -> Message:
 def _parts(body: bytes) -> tuple[int, dict[str, str], bytes]:
     """Identity, metadata and content of a body with an extended header."""
     if len(body) < _EXTENDED.size:
-        raise MalformedError(f"A body of {len(body)} bytes holds no extended header.")
+        raise MessageError(f"A body of {len(body)} bytes holds no extended header.")
     size, index, data, identity = _EXTENDED.unpack_from(body)
     begin = len(body) - index - data
     if not _EXTENDED.size <= size <= begin:
-        raise MalformedError(
+        raise MessageError(
             f"An extended header of {size} bytes and metadata of {index} + {data} do not fit a "
             f"body of {len(body)}."
         )
@@ -187,11 +178,11 @@ def _metadata(index: bytes, data: bytes) -> dict[str, str]:
         return {}
     count = _COUNT.unpack_from(index)[0] if len(index) >= _COUNT.size else -1
     if len(index) != _COUNT.size + count * _ENTRY.size:
-        raise MalformedError(f"An index of {count} metadata entries has {len(index)} bytes.")
+        raise MessageError(f"An index of {count} metadata entries has {len(index)} bytes.")
     entries = list(_ENTRY.iter_unpack(index[_COUNT.size :]))
     stated = sum(key + value for key, _, value in entries)
     if stated != len(data) or any(key == 0 for key, _, _ in entries):
-        raise MalformedError(f"Metadata entries state {stated} bytes, {len(data)} are there.")
+        raise MessageError(f"Metadata entries state {stated} bytes, {len(data)} are there.")
     out, at = {}, 0
     for key, _, value in entries:
         name = data[at : at + key].decode("utf-8", "replace")

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from glissando.errors import DeviceError
 from glissando.hardware.openigtlink.address import Address
 from glissando.hardware.openigtlink.contents import StartTracking
-from glissando.hardware.openigtlink.errors import MessageError
+from glissando.hardware.openigtlink.fields import MessageError
 from glissando.hardware.openigtlink.framer import Framer
 from glissando.hardware.openigtlink.link import ARRIVAL, Packet, PacketLink
 from glissando.hardware.openigtlink.message import Message, encode

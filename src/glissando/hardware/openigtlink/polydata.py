@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from glissando.errors import DeviceError
 from glissando.geometry.se3 import Array
-from glissando.hardware.openigtlink.errors import MalformedError
-from glissando.hardware.openigtlink.fields import floats
+from glissando.hardware.openigtlink.fields import MessageError, floats
 
 _HEADER = struct.Struct(">10I")
 _ATTRIBUTE = struct.Struct(">BBI")
@@ -105,7 +104,7 @@ class _Bytes:
     def take(self, count: int) -> bytes:
         end = self._at + count
         if end > len(self._data):
-            raise MalformedError(
+            raise MessageError(
                 f"POLYDATA states {end} bytes or more and has {len(self._data)}; check the sender."
             )
         out, self._at = self._data[self._at : end], end
@@ -114,12 +113,12 @@ class _Bytes:
     def take_text(self) -> bytes:
         end = self._data.find(b"\0", self._at, self._at + _LONGEST + 1)
         if end < 0:
-            raise MalformedError("A POLYDATA attribute's name has no end; check the sender.")
+            raise MessageError("A POLYDATA attribute's name has no end; check the sender.")
         return self.take(end + 1 - self._at)[:-1]
 
     def require_end(self) -> None:
         if self._at != len(self._data):
-            raise MalformedError(
+            raise MessageError(
                 f"{len(self._data) - self._at} bytes follow the POLYDATA; check the sender."
             )
 
@@ -138,24 +137,24 @@ def _pack_cells(cells: Cells | NDArray[np.integer]) -> bytes:
 
 def _unpack_cells(number: int, data: bytes, points: int) -> Cells:
     if len(data) % 4 or number > len(data) // 4:
-        raise MalformedError(f"{number} POLYDATA cells do not fit {len(data)} bytes.")
+        raise MessageError(f"{number} POLYDATA cells do not fit {len(data)} bytes.")
     flat = np.frombuffer(data, ">u4").astype(np.int64)
     out, at = [], 0
     for _ in range(number):
         size = int(flat[at]) if at < flat.size else 0
         cell = flat[at + 1 : at + 1 + size]
         if at >= flat.size or cell.size < size or np.any(cell >= points):
-            raise MalformedError("A POLYDATA cell names points that are not there.")
+            raise MessageError("A POLYDATA cell names points that are not there.")
         out.append(cell)
         at += 1 + size
     if at != flat.size:
-        raise MalformedError(f"{flat.size - at} numbers follow the POLYDATA cells.")
+        raise MessageError(f"{flat.size - at} numbers follow the POLYDATA cells.")
     return tuple(out)
 
 
 def _unpack_attributes(rest: _Bytes, count: int) -> tuple[Attribute, ...]:
     if count > _MOST:
-        raise MalformedError(f"POLYDATA with {count} attributes is refused; {_MOST} are read.")
+        raise MessageError(f"POLYDATA with {count} attributes is refused; {_MOST} are read.")
     heads = [_ATTRIBUTE.unpack(rest.take(_ATTRIBUTE.size)) for _ in range(count)]
     names = [rest.take_text() for _ in range(count)]
     if sum(len(name) + 1 for name in names) % 2:
@@ -164,7 +163,7 @@ def _unpack_attributes(rest: _Bytes, count: int) -> tuple[Attribute, ...]:
     for (kind, components, number), name in zip(heads, names, strict=True):
         width = _WIDTH.get(kind, components)
         if not width:
-            raise MalformedError("A POLYDATA attribute has no components; check the sender.")
+            raise MessageError("A POLYDATA attribute has no components; check the sender.")
         raw = floats(rest.take(4 * width * number))
         out.append(Attribute(name.decode("utf-8", "replace"), raw.reshape(-1, width), kind))
     return tuple(out)
