@@ -152,17 +152,16 @@ def test_the_coil_slides_in_from_the_tip(following):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("scale", "panels"), [(1.0, 4), (0.15, 8)])
-def test_a_table_far_from_the_papers_is_broken_at_one_scale(scale, panels):
+@pytest.mark.parametrize("scale", [1.0, 0.15])
+def test_a_table_shows_the_papers_values_however_far_they_are(scale):
     figure = table_figure(table(scale))
     assert labels(figure) == {"position RMSE (cm)", "orientation RMSE (rad)"}
-    assert len(figure.axes) == panels
-    scales = [np.ptp(axes.get_xlim()) / axes.bbox.width for axes in figure.axes]
-    if panels == 8:
-        assert np.allclose(scales[::2], scales[1::2], rtol=0.05)
-        written = [text.get_text() for axes in figure.axes for text in axes.texts]
-        assert written[:2] == ["1.64", "1.54"]
-    hollow = [line.get_xdata()[0] for axes in figure.axes for line in axes.lines if hollow_(line)]
+    assert len(figure.axes) == 4
+    hollow = []
+    for axes in figure.axes:
+        low, high = axes.get_xlim()
+        hollow += [line.get_xdata()[0] for line in axes.lines if hollow_(line)]
+        assert all(low < x < high for line in axes.lines for x in line.get_xdata())
     assert np.allclose(sorted(hollow), [0.0754, 0.0779, 0.2291, 0.2381, 1.54, 1.63, 1.64, 1.78])
     assert_legible(figure)
 

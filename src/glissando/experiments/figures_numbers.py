@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
@@ -37,8 +37,6 @@ _PAPER_CHANGES = {"position": {"C": -6.1, "S": -8.4}, "rotation": {"C": -3.2, "S
 _PAPER_LOOK: dict[str, Any] = {"marker": "D", "mfc": "white", "mew": 1.6, "ms": 7, "ls": "none"}
 _EDGE: dict[str, Any] = {"mec": "black", "mew": 0.8}
 _DASHES = (0, (4, 2))
-_CELL = 3.2  # inches that a panel of the table is about wide
-_BREAK = 0.5  # an axis is broken where a gap is this share of what lies on both its sides
 
 
 def _colour(shape: str) -> str:
@@ -55,9 +53,6 @@ def _draw_row(axes: Any, entry: Mapping[str, float], row: float, unit: float, **
 def table_figure(table: Mapping[str, Mapping[str, Any]]) -> Figure:
     """RMSE of a robot at rest by where its coil is, with 95 % intervals and the paper's values.
 
-    An axis is broken between our values and the paper's where they lie far apart, at one scale on
-    both sides.
-
     Args:
         table: A summary of trials (m, rad) by shape and arm; in an arm 'still …' the estimator
             knows that the robot holds still.
@@ -69,10 +64,16 @@ def table_figure(table: Mapping[str, Mapping[str, Any]]) -> Figure:
 
     rows = _table_rows({arm for arms in table.values() for arm in arms})
     with canvas(10.0, 1.7 + 2 * max(1.0, 0.31 * len(rows))) as figure:
-        grid = figure.add_gridspec(2, len(table))
-        for i, kind in enumerate(_KINDS):
-            for j, (shape, arms) in enumerate(table.items()):
-                _draw_table_cell(figure, grid[i, j], arms, shape, kind, rows)
+        cells: Any = figure.subplots(2, len(table), sharey=True, squeeze=False)
+        for line, kind in zip(cells, _KINDS, strict=True):
+            for axes, (shape, arms) in zip(line, table.items(), strict=True):
+                _draw_table_cell(axes, arms, shape, kind, rows)
+            line[0].set_yticks(range(len(rows)), [*rows.values()])
+            for text, arm in zip(line[0].get_yticklabels(), rows, strict=True):
+                text.set_fontweight("normal" if arm.strip() else "bold")
+        cells[0, 0].set_ylim(len(rows) - 0.4, -0.6)
+        for axes in cells.flat:
+            axes.tick_params(axis="y", length=0)
         dots = [Line2D([], [], color=_colour(s), marker="o", ms=7.5, mec="black") for s in table]
         hollow = [Line2D([], [], color=_colour(s), **_PAPER_LOOK) for s in table]
         entries = {"ours, with 95 % interval": tuple(dots), "paper": tuple(hollow)}
@@ -97,81 +98,22 @@ def _table_rows(arms: set[str]) -> dict[str, str]:
 
 
 def _draw_table_cell(
-    figure: Any, cell: Any, arms: Mapping[str, Any], shape: str, kind: str, rows: Mapping[str, str]
+    axes: Any, arms: Mapping[str, Any], shape: str, kind: str, rows: Mapping[str, str]
 ) -> None:
     label, unit = _KINDS[kind]
-    published = _PAPER[kind].get(shape, {})
-    paper = [(unit * published[a], row) for row, a in enumerate(rows) if a in published]
-    ours = [unit * arm[kind][key] for arm in arms.values() for key in ("low", "value", "high")]
-    parts = _parts(figure, cell, ours, [value for value, _ in paper])
-    for axes in parts:
-        for row, arm in enumerate(rows):
-            if arm in arms:
-                marker = "s" if arm.startswith(_STILL) else "o"
-                look = {"marker": marker, "color": _colour(shape)}
-                _draw_row(axes, arms[arm][kind], row, unit, **look)
-        _draw_paper(axes, paper, shape)
-        axes.set_ylim(len(rows) - 0.4, -0.6)
-        axes.grid(axis="x", zorder=0)
-        axes.set_axisbelow(True)
-    first = cell.colspan.start == 0
-    parts[0].set_yticks(range(len(rows)), [*rows.values()] if first else [""] * len(rows))
-    for text, arm in zip(parts[0].get_yticklabels(), rows, strict=True):
-        if not arm.strip():
-            text.set(fontweight="bold")
-    parts[0].set_title(shape, loc="left", fontweight="bold", color=_colour(shape))
-    parts[0].set_xlabel(label, loc="left" if len(parts) > 1 else "center")
-
-
-def _draw_paper(axes: Any, points: Sequence[tuple[float, int]], shape: str) -> None:
-    """The paper's values that lie on the axes, written out where these show nothing else."""
-    low, high = axes.get_xlim()
-    alone = not axes.get_xticks().size
-    for value, row in points:
-        if not low < value < high:
-            continue
-        axes.plot(value, row if alone else row - 0.3, color=_colour(shape), **_PAPER_LOOK)
-        if alone:
-            right = value < 0.5 * (low + high)
-            look: dict[str, Any] = {"xytext": (9 if right else -9, 0), "fontsize": 9.5}
-            look |= {"textcoords": "offset points", "ha": "left" if right else "right"}
-            axes.annotate(f"{value:.4g}", (value, row), va="center_baseline", **look)
-
-
-def _parts(figure: Any, cell: Any, ours: Sequence[float], paper: Sequence[float]) -> list[Any]:
-    """Axes of a cell: one, or two at one scale where ours and the paper's lie far apart."""
-    from matplotlib.ticker import MaxNLocator
-
-    least = 0.3 * max(np.ptp(ours), np.ptp(paper) if paper else 0.0)
-    own = _ends(ours, least)
-    ends = [own]
-    if paper:
-        both = sorted([own, _ends(paper, least)])
-        apart = both[1][0] - both[0][1] > _BREAK * sum(high - low for low, high in both)
-        ends = both if apart else [_ends([*ours, *paper])]
-    widths = [high - low for low, high in ends]
-    inner = cell.subgridspec(1, len(ends), width_ratios=widths, wspace=0.04)
-    parts = [figure.add_subplot(inner[k]) for k in range(len(ends))]
-    for axes, limits, width in zip(parts, ends, widths, strict=True):
-        axes.set_xlim(limits)
-        room = _CELL * width / sum(widths)  # inches
-        axes.xaxis.set_major_locator(MaxNLocator(max(1, int(room / 0.55)), steps=[1, 2, 5, 10]))
-        axes.tick_params(axis="y", length=0)
-    if len(parts) > 1:
-        mark = {"marker": [(-1, -1.6), (1, 1.6)], "ms": 9, "ls": "none", "color": "k", "mew": 1.2}
-        for axes, end in zip(parts, (1, 0), strict=True):
-            axes.plot([end], [0], transform=axes.transAxes, clip_on=False, **mark)
-        parts[1].spines["left"].set_visible(False)
-        parts[1].tick_params(labelleft=False)
-        parts[0 if ends[0] != own else 1].set_xticks([])
-    return parts
-
-
-def _ends(values: Sequence[float], least: float = 0.0) -> tuple[float, float]:
-    """Limits around values with some air, `least` wide at the least."""
-    low, high = min(values), max(values)
-    half = max(0.7 * (high - low), 0.5 * least, 1e-9)
-    return 0.5 * (low + high) - half, 0.5 * (low + high) + half
+    for row, arm in enumerate(rows):
+        if arm in arms:
+            marker = "s" if arm.startswith(_STILL) else "o"
+            _draw_row(axes, arms[arm][kind], row, unit, marker=marker, color=_colour(shape))
+        if arm in _PAPER[kind].get(shape, {}):
+            value = unit * _PAPER[kind][shape][arm]
+            axes.plot(value, row - 0.3, color=_colour(shape), **_PAPER_LOOK)
+    axes.margins(x=0.1)
+    axes.locator_params(axis="x", nbins=5, steps=[1, 2, 5, 10])
+    axes.grid(axis="x", zorder=0)
+    axes.set_axisbelow(True)
+    axes.set_title(shape, loc="left", fontweight="bold", color=_colour(shape))
+    axes.set_xlabel(label)
 
 
 def moving_figure(moving: Mapping[str, Mapping[str, Any]]) -> Figure:
