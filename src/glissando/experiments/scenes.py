@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from glissando.estimation.posterior import Posterior
 from glissando.evaluation.metrics import Errors, errors_against
 from glissando.experiments.published import RATE as PUBLISHED_RATE
 from glissando.experiments.published import published_prior, published_readings
-from glissando.io.csv_stream import Stream
 from glissando.io.recording import Recording
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file
@@ -177,11 +175,7 @@ def recording(scene: Scene, seed: int) -> Recording:
     moved, slide, duration = motion(scene, seed), path(scene), scene.duration
     used = replace(bench(scene.robot), inertial=np.zeros(0))  # a third of the time, and not used
     session = simulate_session(used, moved, slide, seed=seed, duration=duration, flaws=flaws(scene))
-    coil = replace(session.coil, values=session.T_wt @ session.coil.values)
-    streams = {"coil": Stream("coil", coil, keep_repeats=True)}
-    for name, rows in session.mocap.items():
-        streams[name] = Stream(name, rows, True, session.mocap_std, keep_repeats=True)
-    return Recording(session.name, Path(), streams, known_robot(scene), None)
+    return Recording.of(session.streams(), session.name, known_robot(scene))
 
 
 @dataclass(frozen=True)

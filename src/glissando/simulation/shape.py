@@ -53,6 +53,15 @@ class Shape:
         return sections(self.rod, self.mesh, strains, edges, s)
 
 
+def require_on_rod(rod: Rod, arclength: Array) -> None:
+    """Require that arclengths (…) are on a rod."""
+    off = arclength[~((arclength >= -1e-9) & (arclength <= rod.length + 1e-9))]
+    if off.size:
+        raise SimulationError(
+            f"Arclength {off[0]:g} m is off a rod of {rod.length:g} m; give 0 to {rod.length:g} m."
+        )
+
+
 def sections(rod: Rod, mesh: Mesh, strain: Array, edges: Array, arclength: Array) -> Section:
     """Cross-sections at arclengths (…), each of a shape of its own.
 
@@ -66,12 +75,7 @@ def sections(rod: Rod, mesh: Mesh, strain: Array, edges: Array, arclength: Array
     Raises:
         SimulationError: An arclength is off the rod.
     """
-    off = ~((arclength >= -1e-9) & (arclength <= rod.length + 1e-9))
-    if np.any(off):
-        raise SimulationError(
-            f"Arclength {arclength[off].ravel()[0]:g} m is off a rod of {rod.length:g} m; give "
-            f"0 to {rod.length:g} m."
-        )
+    require_on_rod(rod, arclength)
     flat, lead = arclength.ravel(), arclength.shape
     values = mesh.interpolate(strain, flat)
     pose, wrench = mesh.pose_at(strain, edges, flat), rod.stiffness * (values - rod.rest(flat))

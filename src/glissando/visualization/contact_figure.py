@@ -10,7 +10,7 @@ from glissando.estimation.contact import ContactScan
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.evenly import evenly_chosen
-from glissando.visualization.canvas import MM, NO_STYLE, Style, describe, legend_entries, panels_on
+from glissando.visualization.canvas import MM, NO_STYLE, Style, legend, legend_entries, panels_on
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +29,6 @@ def mapped_times(posterior: Posterior) -> Array:
 def contact_figure(
     scan: ContactScan,
     *,
-    ax: Any = None,
     size: tuple[float, float] = (10.0, 5.6),
     style: Style = NO_STYLE,
 ) -> np.ndarray[Any, Any]:
@@ -40,24 +39,23 @@ def contact_figure(
 
     Args:
         scan: Scans of K times, as of `scan_contacts`, or of `ContactScan.over` while they come in.
-        ax: Two axes to draw into; those of a new figure unless given.
-        size: Width and height of a new figure, inches.
+        size: Width and height, inches.
         style: rcParams to draw with.
 
     Returns:
         The axes (2,), in millimetres and seconds: the map, and the evidence with its threshold.
 
     Raises:
-        GlissandoError: The axes are not two, or matplotlib is not installed.
+        GlissandoError: matplotlib is not installed.
     """
     shares = {"sharex": True, "height_ratios": [2.2, 1.0]}
-    with panels_on(ax, (2, 1), size, style, **shares) as panels:
+    with panels_on(None, (2, 1), size, style, **shares) as panels:
         upper, lower = panels.ravel()
         _draw_map(upper, scan)
         _draw_evidence(lower, scan)
         entries = legend_entries(lower)
         entries |= legend_entries(upper)
-        describe(upper, ax is None, entries, loc="outside upper center", ncols=len(entries))
+        legend(upper.figure, entries, loc="outside upper center", ncols=len(entries))
     return np.array([upper, lower], dtype=object)
 
 

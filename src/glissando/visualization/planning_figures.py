@@ -15,15 +15,12 @@ from glissando.planning.planning_problem import PlanningProblem
 from glissando.planning.zones import Zone
 from glissando.visualization.canvas import (
     MM,
-    NO_STYLE,
-    Style,
     canvas,
-    describe,
     gif_frames,
     gif_rate,
+    legend,
     legend_entries,
     line_colours,
-    panels_on,
 )
 
 _PLACES, _TIMES = 60, 81  # points of a map along the body and in time
@@ -36,9 +33,6 @@ def plan_figure(
     problem: PlanningProblem,
     paths: Mapping[str, Array],
     zones: Sequence[Zone],
-    *,
-    ax: Any = None,
-    style: Style = NO_STYLE,
 ) -> Any:
     """Draw the predicted uncertainty over arclength and time for each path.
 
@@ -49,8 +43,6 @@ def plan_figure(
         problem: The planning problem.
         paths: Arclengths (T,) at the problem's `times` by name, m.
         zones: The zones that count.
-        ax: Axes, one a path, to draw into; those of a new figure unless given.
-        style: rcParams to draw with.
 
     Returns:
         The axes (1, P).
@@ -61,7 +53,8 @@ def plan_figure(
     place, time, maps = _maps(problem, paths)
     top = float(np.quantile(np.stack(list(maps.values())), 0.97))
     size = (4.6 * len(maps) + 0.8, 4.8)
-    with panels_on(ax, (1, len(maps)), size, style, sharey=True) as panels:
+    with canvas(*size) as figure:
+        panels = figure.subplots(1, len(maps), sharey=True, squeeze=False)
         row = panels[0]
         for axes, (name, std) in zip(row, maps.items(), strict=True):
             style = {
@@ -80,7 +73,7 @@ def plan_figure(
         row[0].set_ylabel("arclength (mm)")
         over: Any = "max"
         label = "position standard deviation (mm)"
-        row[0].figure.colorbar(shade, ax=list(row), label=label, pad=0.015, extend=over)
+        figure.colorbar(shade, ax=list(row), label=label, pad=0.015, extend=over)
     return panels
 
 
@@ -154,15 +147,13 @@ def _outline(axes: Any, zone: Zone, problem: PlanningProblem) -> None:
     axes.plot(np.concatenate([time, time[::-1], time[:1]]), around * MM, **style)
 
 
-def design_figure(designs: Sequence[Design], *, ax: Any = None, style: Style = NO_STYLE) -> Any:
+def design_figure(designs: Sequence[Design]) -> Any:
     """Draw the uncertainty of every design against each of its costs.
 
     A line joins the best designs of each cost; large marks are designs on the Pareto front.
 
     Args:
         designs: The designs.
-        ax: Axes, one a cost, to draw into; those of a new figure unless given.
-        style: rcParams to draw with.
 
     Returns:
         The axes (1, C).
@@ -172,8 +163,8 @@ def design_figure(designs: Sequence[Design], *, ax: Any = None, style: Style = N
     """
     best = pareto_front(designs)
     std = MM * np.array([d.std for d in designs])
-    size = (3.6 * len(NUMBERS), 4.6)
-    with panels_on(ax, (1, len(NUMBERS)), size, style, sharey=True) as panels:
+    with canvas(3.6 * len(NUMBERS), 4.6) as figure:
+        panels = figure.subplots(1, len(NUMBERS), sharey=True, squeeze=False)
         row = panels[0]
         for axes, (name, (unit, scale)) in zip(row, NUMBERS.items(), strict=True):
             cost = scale * np.array([float(getattr(d, name)) for d in designs])
@@ -192,21 +183,16 @@ def design_figure(designs: Sequence[Design], *, ax: Any = None, style: Style = N
             if levels.size == 1:
                 axes.set_xlim(0.0, 2.0 * levels[0] or 1.0)
         row[0].set_ylabel("position standard deviation (mm)")
-        entries = legend_entries(row[0])
-        describe(row[0], ax is None, entries, loc="outside upper center", ncols=4)
+        legend(figure, legend_entries(row[0]), loc="outside upper center", ncols=4)
     return panels
 
 
-def placement_figure(
-    placements: Sequence[Placement], length: float, *, ax: Any = None, style: Style = NO_STYLE
-) -> Any:
+def placement_figure(placements: Sequence[Placement], length: float) -> Any:
     """Draw what sensors of each cost leave uncertain, and where along the body they are.
 
     Args:
         placements: The sets, by rising budget.
         length: Length of the body, m.
-        ax: Two axes to draw into; those of a new figure unless given.
-        style: rcParams to draw with.
 
     Returns:
         The axes (1, 2).
@@ -216,7 +202,8 @@ def placement_figure(
     """
     cost = np.array([each.cost for each in placements])
     kinds = list(dict.fromkeys(s.name.split()[0] for each in placements for s in each.chosen))
-    with panels_on(ax, (1, 2), (9.2, 4.2), style) as panels:
+    with canvas(9.2, 4.2) as figure:
+        panels = figure.subplots(1, 2, squeeze=False)
         front, body = panels[0]
         for name, marker in (("std", "o-"), ("bound", ":")):
             value = MM * np.array([getattr(each, name) for each in placements])

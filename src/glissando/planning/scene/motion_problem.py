@@ -15,8 +15,6 @@ import numpy as np
 
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
-from glissando.model.noise import sqrt_information
-from glissando.model.state import State
 from glissando.planning.path_objective import cubic_weights
 from glissando.planning.scene.error_belief import (
     ErrorBelief,
@@ -30,7 +28,6 @@ from glissando.planning.scene.risk import Clearances, bound_hits
 from glissando.planning.scene.scene import Scene
 from glissando.planning.scene.sensor_errors import SensorErrors
 from glissando.planning.scene.tendon_body import BodyShapes, BySeen, TendonBody
-from glissando.planning.sliding_sensor import SlidingSensor
 
 _ROUNDING = 1e-9  # of a step
 
@@ -197,7 +194,7 @@ class MotionProblem:
         slopes = [np.zeros((len(values), 0, self.body.errors))]
         first = len(self.scene.tendons)
         for c, sensor in enumerate(self.scene.sensors if self.senses else ()):
-            own, repeated = self._white[c], self._repeated[c]
+            own, repeated = self._white[c]
             repeated = np.broadcast_to(repeated, (len(values), *repeated.shape))
             for behind in sensor.behind:
                 at, weights = self.neighbours(values[:, first + c] - behind)
@@ -217,7 +214,7 @@ class MotionProblem:
         by_slides = np.zeros((len(by_rows), len(at.values), at.values.shape[1] - first))
         row = 0
         for c, sensor in enumerate(self.scene.sensors if self.senses else ()):
-            own = self._white[c]
+            own = self._white[c][0]
             for behind in sensor.behind:
                 part, slope = (x[..., row : row + len(own), :] for x in (by_rows, at.row_slopes))
                 by_slides[:, corrected, c] += np.sum(part * slope, axis=(-2, -1))
@@ -228,13 +225,8 @@ class MotionProblem:
         return by_twist, by_slides
 
     @cached_property
-    def _white(self) -> list[Array]:
-        """Whitened rows (r, 6) of each sensor by its pose, worth its readings of a correction."""
-        return [sensor_rows(sensor, self.space.correction) for sensor in self.scene.sensors]
-
-    @cached_property
-    def _repeated(self) -> list[Array]:
-        """Whitened rows (r, m) of each sensor by what is unknown of the sensors."""
+    def _white(self) -> list[tuple[Array, Array]]:
+        """Whitened rows of each sensor, worth its readings of a correction: `SensorErrors.rows`."""
         time = self.space.correction
         return [self.sensed.rows(sensor, time) for sensor in self.scene.sensors]
 
@@ -247,12 +239,3 @@ class MotionProblem:
         weights = cubic_weights((arclength - nodes[lower]) / width)
         weights[:, 1] /= width[:, None]
         return np.clip(lower[:, None] + np.arange(-1, 3), 0, nodes.size - 1), weights
-
-
-def sensor_rows(sensor: SlidingSensor, time: float) -> Array:
-    """Whitened rows (r, 6) by the pose of a coil, worth all its readings of a time in seconds."""
-    pose = np.eye(4)[None]
-    at = State(pose, np.zeros((1, 6)), np.zeros((1, 6)))
-    readings = sensor.readings(pose, np.zeros(1), np.zeros(1))
-    white: Array = sqrt_information(readings.cov) @ readings.jacobian(at)[0, :, :6]
-    return np.sqrt(sensor.rate * time) * white

@@ -47,14 +47,17 @@ class SensorErrors:
         each = (np.full(p.std.size, p.correlation_time) for p in self.parameters)
         return np.concatenate([np.zeros(0), *each])
 
-    def rows(self, sensor: SlidingSensor, time: float) -> Array:
-        """Whitened rows (r, m) of a coil by ζ, worth all its readings of a time in seconds."""
+    def rows(self, sensor: SlidingSensor, time: float) -> tuple[Array, Array]:
+        """Whitened rows of a coil by its pose (r, 6) and by ζ (r, m).
+
+        They are worth all its readings of a time in seconds.
+        """
         pose = np.eye(4) if self.pose is None else self.pose
         readings = sensor.readings(pose[None], np.zeros(1), np.zeros(1))
         at = State(pose[None], np.zeros((1, 6)), np.zeros((1, 6)))
-        slope = self.slopes(readings, at, readings.jacobian(at))[0]
-        white: Array = sqrt_information(readings.cov) @ slope
-        return np.sqrt(sensor.rate * time) * white
+        by_state = readings.jacobian(at)
+        white = np.sqrt(sensor.rate * time) * sqrt_information(readings.cov)
+        return white @ by_state[0, :, :6], white @ self.slopes(readings, at, by_state)[0]
 
     def slopes(self, readings: Readings, at: State, by_state: Array) -> Array:
         """Slopes (M, r, m) of residuals by ζ, of readings at states (M,).

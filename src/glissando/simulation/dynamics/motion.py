@@ -8,12 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
 from glissando.simulation.dynamics.scenario import ScenarioLoads
 from glissando.simulation.mesh import Mesh
 from glissando.simulation.rod import Rod
-from glissando.simulation.shape import Section
+from glissando.simulation.shape import Section, require_on_rod
 
 _CHUNK = 500  # queries at a time, to bound memory
 
@@ -138,12 +137,7 @@ class DynamicMotion:
             np.asarray(arclength, dtype=float), np.asarray(time, dtype=float)
         )
         shape, s, t = s.shape, s.ravel(), np.clip(t.ravel(), self.time[0], self.time[-1])
-        off = ~((s >= -1e-9) & (s <= self.rod.length + 1e-9))
-        if np.any(off):
-            raise SimulationError(
-                f"Arclength {s[off][0]:g} m is off a rod of {self.rod.length:g} m; give 0 to "
-                f"{self.rod.length:g} m."
-            )
+        require_on_rod(self.rod, s)
         instants, which = np.unique(t, return_inverse=True)
         parts = [np.empty((s.size, *tail)) for tail in ((4, 4), (6,), (6,), (6,), (6,), (3,))]
         order = np.argsort(which, kind="stable")
