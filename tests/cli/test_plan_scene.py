@@ -59,10 +59,12 @@ def test_the_example_is_planned_and_its_commands_are_such_as_predict_reads(folde
 
 MISTAKES = [
     ("robot_radius = 0.005", "robot_radius = 5", "robot_radius is 5 m; give metres"),
-    ("delta = 0.05", "delta = 5", "delta is 5; give a probability from 0.001"),
-    ("delta = 0.05", "delta = 1e-6", "delta is 1e-06; give a probability from 0.001"),
+    ("delta = 0.05", "delta = 5", "delta of the scene is 5; give a probability from 0.001"),
+    ("delta = 0.05", "delta = 1e-6", "delta of the scene is 1e-06; give a probability"),
     ("delta = 0.05", "delta = 0.05\nmodel_std = 0.2", "model_std is 0.2 m on a robot of radius"),
-    ("delta = 0.05", "delta = 0.05\ncorrection = 6", "correction is 6 s within a horizon of 10 s"),
+    ("delta = 0.05", "delta = 0.05\ncorrection = 6", "correction of the scene is 6 s within a"),
+    ("speed = 0.004", "speed = 0.004\nstart = 0.1", "Tendon 0 starts at 0.1 m, and its limits"),
+    ("[[targets]]", "[[targets]]\ntime = 20", "time of a target is 20 s, and the motion lasts 10"),
     ("upper = 0.006", "upper = -0.002", "give a higher upper end"),
     ("[tendons]", "[weights]\ninformation = 1\n\n[tendons]", "information is 1 with 0 [[zones]]"),
     ("radius = 0.012", "radius = 4", "inside obstacle 1; give its size and place in metres"),

@@ -13,6 +13,8 @@ from glissando.model.robot import Robot
 from glissando.planning.scene.scene import Scene
 
 _ROUNDING = 1e-9
+_LEAST_RISK = 1e-3  # of which 4,000 samples hold a few
+_OFTENEST = 0.01  # s between two corrections
 _STRETCHED = 1.2  # of its length, how far a robot reaches at most
 
 
@@ -57,12 +59,15 @@ def _mistakes(scene: Scene, robot: Robot) -> Iterator[str]:
     for name in ("robot_radius", "horizon", "correction"):
         if not getattr(scene, name) > 0.0:
             yield f"{name} of the scene is {getattr(scene, name)}; give a number above zero."
-    if not 0.0 < scene.delta < 1.0:
-        yield f"delta of the scene is {scene.delta}; give a probability below 1: 0.05 for 5 %."
-    if not 2.0 * scene.correction <= scene.horizon:
+    if not _LEAST_RISK <= scene.delta < 1.0:
+        yield (
+            f"delta of the scene is {scene.delta:g}; give a probability from {_LEAST_RISK:g}, as "
+            f"risks are sampled, to below 1: 0.05 for 5 %."
+        )
+    if not _OFTENEST <= scene.correction <= 0.5 * scene.horizon:
         yield (
             f"correction of the scene is {scene.correction:g} s within a horizon of "
-            f"{scene.horizon:g} s; give half of it at most."
+            f"{scene.horizon:g} s; give seconds, from {_OFTENEST:g} to half of it."
         )
     count = 0 if robot.tendons is None else len(robot.tendons)
     if len(scene.tendons) != count:
@@ -129,8 +134,8 @@ def _mistakes_of_targets(scene: Scene) -> Iterator[str]:
             yield f"The position of a target is {target.position!r}; give three numbers, m."
         if not 0.0 < target.time <= scene.horizon + _ROUNDING:
             yield (
-                f"A target is due at {target.time:g} s, and the motion lasts {scene.horizon:g} s; "
-                f"give a time within it."
+                f"The time of a target is {target.time:g} s, and the motion lasts "
+                f"{scene.horizon:g} s; give a time within it."
             )
     for a, b in pairwise(scene.targets):
         if b.time < a.time:
