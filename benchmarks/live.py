@@ -32,8 +32,7 @@ from glissando.hardware.live import IgtlSink, LiveSession, RecordingSource
 from glissando.hardware.live.igtl_sink import readings_message
 from glissando.hardware.openigtlink import encode
 from glissando.hardware.openigtlink.crc import crc64
-from glissando.hardware.openigtlink.framer import Framer
-from glissando.hardware.openigtlink.message import HEADER, read_header
+from glissando.hardware.openigtlink.message import HEADER, Framer, read_header
 from glissando.io.recording_folder import load_recording
 from glissando.model.sensors.sensors import PoseReadings
 

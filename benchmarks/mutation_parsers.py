@@ -24,7 +24,7 @@ from glissando.evaluation.replay import replay
 from glissando.evaluation.run import checked_window, chosen_streams, run_estimate, write_run
 from glissando.experiments.study.plan import load_study
 from glissando.hardware.capture import load_rig
-from glissando.hardware.drivers.gcode_stage import parse_status
+from glissando.hardware.drivers.gcode import parse_status
 from glissando.io.foreign import export
 from glissando.io.netcdf import load_posterior, save_posterior
 from glissando.io.query_csv import read_query, write_query

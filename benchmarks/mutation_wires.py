@@ -18,8 +18,7 @@ from glissando.hardware.drivers.slide import Slide
 from glissando.hardware.drivers.stage import Stage
 from glissando.hardware.openigtlink import decode, encode
 from glissando.hardware.openigtlink.crc import crc64
-from glissando.hardware.openigtlink.framer import Framer
-from glissando.hardware.openigtlink.message import HEADER
+from glissando.hardware.openigtlink.message import HEADER, Framer
 from glissando.hardware.simulated_devices import aurora_wire
 from glissando.hardware.simulated_devices.aurora_wire import PortReport
 from glissando.hardware.simulated_devices.dynamixel import crc16

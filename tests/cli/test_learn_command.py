@@ -19,8 +19,8 @@ from glissando.calibration.robot.learn import End, Learned
 from glissando.calibration.robot.predictive import Score
 from glissando.cli import learn as learn_command
 from glissando.cli import learn_tendons, outputs
+from glissando.cli.console import truth_cells
 from glissando.cli.learn_report import _cells, as_json
-from glissando.cli.tables import truth_cells
 from glissando.evaluation.run import run_estimate
 from glissando.io.recording_folder import load_recording
 from glissando.io.shipped_robots import robot_file

@@ -12,8 +12,8 @@ from scipy.stats import chi2
 from command_line import run
 from glissando import PoseReadings, StateEstimate, se3
 from glissando.cli.check import _table
+from glissando.cli.console import site_table
 from glissando.cli.main import main
-from glissando.cli.tables import site_table
 from glissando.evaluation.consistency import LEVELS, Consistency, check
 from glissando.evaluation.effective_samples import effective_errors, effective_samples
 from glissando.evaluation.metrics import Errors, errors_against, joined, pool

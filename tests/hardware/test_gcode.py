@@ -11,7 +11,7 @@ import pytest
 from glissando.errors import DeviceError
 from glissando.hardware.capture import Coil, FurtherStage, Rig, capture, load_rig, write_recording
 from glissando.hardware.drivers import Aurora, GcodeSlide, GcodeStage
-from glissando.hardware.drivers.gcode_stage import parse_status
+from glissando.hardware.drivers.gcode import parse_status
 from glissando.hardware.openigtlink import Endpoint, Message, encode, stamp_of
 from glissando.hardware.openigtlink import contents as c
 from glissando.hardware.simulated_devices import started

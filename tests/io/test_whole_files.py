@@ -19,8 +19,7 @@ from glissando.calibration.rig.rig import Rig
 from glissando.cli import estimate as estimate_command
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.run import run_estimate
-from glissando.io.atomic_file import new_file, write_table, write_text
-from glissando.io.atomic_folder import new_folder, renewed_folder
+from glissando.io.atomic import new_file, new_folder, renewed_folder, write_table, write_text
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.foreign import export
 from glissando.io.recording import Recording
@@ -76,7 +75,7 @@ def test_no_file_is_written_but_through_the_helpers():
     """A new writer that forgets them is found here, and by the examples of the commands."""
     for path in sorted(SOURCE.rglob("*.py")):
         name = path.relative_to(SOURCE).as_posix()
-        if name not in (*GROWING, "io/atomic_file.py", "io/atomic_folder.py"):
+        if name not in (*GROWING, "io/atomic.py"):
             assert not direct_writes(path), name
 
 

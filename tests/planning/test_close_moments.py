@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glissando.planning.scene.close_moments import judged_closely
-from glissando.planning.scene.motion_search import Search
+from glissando.planning.scene.motion_search import Search, judged_closely
 from glissando.planning.scene.obstacles import sphere
 from glissando.planning.scene.sampled_risk import sample_risk
 from motion_scenes import HELD, any_problem

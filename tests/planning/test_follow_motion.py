@@ -8,10 +8,9 @@ import pytest
 from glissando.errors import GlissandoError
 from glissando.geometry import se3
 from glissando.model.sensors.sensors import CoilReadings
-from glissando.planning.scene.correction_speed import correction_speed
 from glissando.planning.scene.follow import MotionFollower
 from glissando.planning.scene.motion_space import motion_space
-from glissando.planning.scene.plan_motion import MotionPlan
+from glissando.planning.scene.plan_motion import MotionPlan, correction_speed
 from motion_scenes import COIL, MOUNTED, ROBOT, any_problem
 
 

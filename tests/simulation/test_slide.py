@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from glissando.errors import SimulationError
-from glissando.io.atomic_file import write_table
+from glissando.io.atomic import write_table
 from glissando.simulation import SlideLimits, SlidePath, read_slide
 from slide_paths import STAGE, finely, require_within
 

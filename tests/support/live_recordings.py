@@ -12,7 +12,7 @@ from glissando.hardware.live.clock import SessionClock
 from glissando.hardware.live.igtl_sink import readings_message
 from glissando.hardware.openigtlink import Endpoint, Message, encode, stamp_of
 from glissando.hardware.openigtlink import contents as c
-from glissando.hardware.openigtlink.wire_frame import WireFrame
+from glissando.hardware.openigtlink.address import WireFrame
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.recording import Recording
 from glissando.io.robot_file import load_robot, parse_robot

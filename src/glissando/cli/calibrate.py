@@ -17,13 +17,12 @@ from glissando.calibration.rig.recording_data import calibrated, recording_data
 from glissando.calibration.rig.result import Calibration, apply
 from glissando.calibration.rig.rig import RigData
 from glissando.calibration.rig.session_data import rig_data
-from glissando.cli.console import Console
+from glissando.cli.console import Console, number_table
 from glissando.cli.outputs import require_replaceable, require_writable
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, chosen_robot
-from glissando.cli.tables import number_table
 from glissando.errors import GlissandoError, RecordingError, RobotFileError
-from glissando.io.atomic_folder import require_new
+from glissando.io.atomic import require_new
 from glissando.io.recording_folder import load_recording, save_recording
 from glissando.io.robot_file import load_robot
 from glissando.io.session_log import read_session

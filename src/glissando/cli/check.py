@@ -35,8 +35,7 @@ from glissando.evaluation.conformal import block_scores, conformal_tube, inside_
 from glissando.evaluation.consistency import LEVELS, Consistency, check, check_readings
 from glissando.evaluation.leave_out import leave_out
 from glissando.evaluation.metrics import Errors, errors_against
-from glissando.io.atomic_file import write_text
-from glissando.io.atomic_folder import renewed_folder
+from glissando.io.atomic import renewed_folder, write_text
 from glissando.io.provenance import write_report
 from glissando.io.robot_file import with_tube
 from glissando.model.robot import Robot

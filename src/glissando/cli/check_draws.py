@@ -6,16 +6,15 @@ import argparse
 import json
 from pathlib import Path
 
-from glissando.cli.console import Console
+from glissando.cli.console import Console, number_table
 from glissando.cli.outputs import stated
 from glissando.cli.progress import working
 from glissando.cli.say import say
 from glissando.cli.shared import chosen_robot
-from glissando.cli.tables import number_table
 from glissando.errors import GlissandoError, RecordingError
 from glissando.evaluation.run import checked_window, chosen_streams
 from glissando.evaluation.simulation_based import SimulationCheck, simulate_and_rank
-from glissando.io.atomic_folder import renewed_folder
+from glissando.io.atomic import renewed_folder
 from glissando.io.provenance import write_report
 from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import load_robot

@@ -1,13 +1,31 @@
-"""The console that commands print on."""
+"""The console that commands print on, and tables and numbers as several of them print them."""
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console as RichConsole
+from rich.table import Table
 
 _WIDE = 10_000  # columns of a file or a pipe, so that no line is cut
+_PARAMETER_UNITS = {
+    "frame": (("mm", 1e3, 3), ("mrad", 1e3, 3)),
+    "mount": (("mm", 1e3, 3), ("mrad", 1e3, 3)),
+    **dict.fromkeys(("arclength_offset", "slide_play"), (("mm", 1e3, 1),)),
+    **dict.fromkeys(("time_offset", "slide_lag"), (("ms", 1e3, 1),)),
+}
+_OF_TRUTH = {  # heading, scale and format by the key of a summary
+    "position_rmse": ("position (mm)", 1e3, "{:.2f}"),
+    "rotation_rmse": ("rotation (deg)", math.degrees(1.0), "{:.2f}"),
+    "nees_position": ("NEES / dof", 1.0, "{:.2f}"),
+    "coverage95_position": ("inside 95 %", 100.0, "{:.1f} %"),
+}
+TRUTH_HEADINGS = tuple(heading for heading, *_ in _OF_TRUTH.values())
+"""Over the cells of `truth_cells`."""
 
 
 class Console(RichConsole):
@@ -24,3 +42,52 @@ class Console(RichConsole):
     def on_broken_pipe(self) -> None:
         """Raise what Rich would answer with an exit."""
         raise BrokenPipeError
+
+
+def number_table(title: str, numbers: Sequence[str], *, left: Sequence[str] = ()) -> Table:
+    """A table whose columns of numbers stand to the right, after those that stand `left`."""
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
+    for heading in left:
+        table.add_column(heading, overflow="fold")
+    for heading in numbers:
+        table.add_column(heading, justify="right")
+    return table
+
+
+def site_table(title: str, headings: Sequence[str]) -> Table:
+    """A table with a row a site, which 80 columns hold; a long name folds, numbers do not."""
+    table = Table(
+        title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True
+    )
+    table.add_column("site", overflow="fold")
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    return table
+
+
+def truth_cells(
+    summary: Mapping[str, float | None], keys: Sequence[str] = tuple(_OF_TRUTH)
+) -> list[str]:
+    """Errors against truth, as of `Errors.summary`; what truth does not tell is –.
+
+    >>> truth_cells({"position_rmse": 0.00123, "rotation_rmse": None}, ("position_rmse",))
+    ['1.23']
+    """
+    known = [(summary.get(key), *_OF_TRUTH[key][1:]) for key in keys]
+    return ["–" if value is None else form.format(size * value) for value, size, form in known]
+
+
+def parameter_text(kind: str, value: Sequence[float], std: Sequence[float]) -> str:
+    """Values of a sensor parameter with their deviations and units; known ones have none.
+
+    >>> parameter_text("time_offset", [0.012], [0.0003])
+    '12 ± 0.3 ms'
+    """
+    parts = _PARAMETER_UNITS.get(kind, (("", 1.0, len(value)),))
+    out, at = [], 0
+    for unit, size, count in parts:
+        pairs = zip(value[at : at + count], std[at : at + count], strict=True)
+        numbers = [f"{size * v:.4g}" + (f" ± {size * s:.2g}" if s else "") for v, s in pairs]
+        out.append(f"{', '.join(numbers)} {unit}".rstrip())
+        at += count
+    return "; ".join(out)

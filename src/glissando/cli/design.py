@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from glissando.cli.console import Console
+from glissando.cli.console import Console, number_table
 from glissando.cli.outputs import require_results_folder, stated
 from glissando.cli.placement import place
 from glissando.cli.plan_task import (
@@ -21,10 +21,9 @@ from glissando.cli.plan_task import (
 )
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command
-from glissando.cli.tables import number_table
 from glissando.cli.unused_options import refuse_unused
 from glissando.errors import GlissandoError
-from glissando.io.atomic_folder import renewed_folder
+from glissando.io.atomic import renewed_folder
 from glissando.io.provenance import write_report
 from glissando.io.robot_file import load_robot
 from glissando.planning.design import Design, pareto_front, sweep

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from rich.markup import escape
 
-from glissando.cli.console import Console
+from glissando.cli.console import TRUTH_HEADINGS, Console, parameter_text, site_table, truth_cells
 from glissando.cli.loads import loads_json, print_loads, scanned, write_contacts
 from glissando.cli.outputs import (
     require_replaceable,
@@ -27,14 +27,13 @@ from glissando.cli.shared import (
     estimate_watched,
     recording_and_robot,
 )
-from glissando.cli.tables import TRUTH_HEADINGS, parameter_text, site_table, truth_cells
 from glissando.errors import GlissandoError
 from glissando.estimation.contact import ContactScan
 from glissando.estimation.loads import require_mechanics
 from glissando.evaluation.metrics import pool
 from glissando.evaluation.run import Run, checked_window, write_run
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_folder import renewed_folder
+from glissando.io.atomic import renewed_folder
 from glissando.io.query_csv import QUERY_COLUMNS, read_query, write_query
 from glissando.io.recording import Recording
 from glissando.model.robot import Robot

@@ -16,7 +16,7 @@ from glissando.evaluation.foreign_estimate import (
     foreign_report,
     read_estimate,
 )
-from glissando.io.atomic_folder import require_new
+from glissando.io.atomic import require_new
 from glissando.io.foreign import Choices, read_tracks, write_recording
 from glissando.io.foreign.kinds import is_bag
 from glissando.io.foreign.servo_csv import MARKER

@@ -8,8 +8,7 @@ from typing import Any
 
 from glissando.calibration.robot.hyperparameters import Parameter
 from glissando.calibration.robot.learn import Learned
-from glissando.cli.console import Console
-from glissando.cli.tables import TRUTH_HEADINGS, number_table, parameter_text, truth_cells
+from glissando.cli.console import TRUTH_HEADINGS, Console, number_table, parameter_text, truth_cells
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.io.robot_file import parse_robot

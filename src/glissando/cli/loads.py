@@ -14,7 +14,7 @@ from glissando.estimation.contact import ContactScan, scan_contacts
 from glissando.estimation.loads import load_places, require_mechanics
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import write_table
+from glissando.io.atomic import write_table
 from glissando.model.evenly import evenly_chosen
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.visualization.canvas import save_figure

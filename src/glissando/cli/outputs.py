@@ -11,7 +11,7 @@ from typing import Any
 import tomli_w
 
 from glissando.errors import GlissandoError
-from glissando.io.atomic_file import write_text
+from glissando.io.atomic import write_text
 from glissando.io.csv_stream import is_public
 from glissando.io.provenance import digests, made_by, stated_format
 from glissando.io.session_recording import LOG

@@ -8,16 +8,15 @@ import json
 import numpy as np
 from rich.table import Table
 
-from glissando.cli.console import Console
+from glissando.cli.console import Console, number_table
 from glissando.cli.outputs import stated
 from glissando.cli.plan_task import stage_of
 from glissando.cli.progress import working
 from glissando.cli.say import say
-from glissando.cli.tables import number_table
 from glissando.cli.unused_options import refuse_unused
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_folder import renewed_folder
+from glissando.io.atomic import renewed_folder
 from glissando.io.provenance import write_report
 from glissando.io.robot_file import load_robot
 from glissando.model.robot import Robot

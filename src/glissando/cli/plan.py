@@ -12,20 +12,18 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from glissando.cli.console import Console
+from glissando.cli.console import Console, number_table
 from glissando.cli.outputs import require_results_folder, stated
 from glissando.cli.pairing import require_pair
 from glissando.cli.plan_scene import plan_scene
 from glissando.cli.plan_task import ROBOT, add_task, require_horizon, stage_of, stream_of
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command
-from glissando.cli.tables import number_table
 from glissando.cli.unused_options import refuse_unused
 from glissando.errors import GlissandoError, PlanWarning
 from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import write_table
-from glissando.io.atomic_folder import renewed_folder
+from glissando.io.atomic import renewed_folder, write_table
 from glissando.io.netcdf import load_posterior
 from glissando.io.provenance import write_report
 from glissando.io.robot_file import load_robot

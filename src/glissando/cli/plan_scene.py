@@ -10,12 +10,15 @@ import numpy as np
 from glissando.cli.outputs import stated
 from glissando.cli.progress import working
 from glissando.cli.say import say
-from glissando.io.atomic_file import write_table, write_text
-from glissando.io.atomic_folder import renewed_folder
+from glissando.io.atomic import renewed_folder, write_table, write_text
 from glissando.io.provenance import write_report
 from glissando.io.robot_file import load_robot
-from glissando.planning.scene.correction_speed import correction_speed
-from glissando.planning.scene.plan_motion import MotionPlan, motion_problem, plan_motion
+from glissando.planning.scene.plan_motion import (
+    MotionPlan,
+    correction_speed,
+    motion_problem,
+    plan_motion,
+)
 from glissando.planning.scene.scene_checks import idle_obstacles
 from glissando.planning.scene.scene_file import read_scene
 from glissando.visualization.canvas import save_figure

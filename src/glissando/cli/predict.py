@@ -16,8 +16,7 @@ from glissando.cli.shared import Commands, add_command, names
 from glissando.errors import GlissandoError
 from glissando.estimation.tendon_prediction import predict, predict_tip
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import write_table
-from glissando.io.atomic_folder import new_folder, require_new
+from glissando.io.atomic import new_folder, require_new, write_table
 from glissando.io.plain_file import file_stem
 from glissando.io.query_csv import write_states
 from glissando.io.robot_file import load_robot

@@ -31,8 +31,7 @@ from glissando.hardware.capture import (
     write_recording,
 )
 from glissando.hardware.capture.online import OnMessage, live_estimate
-from glissando.io.atomic_file import write_text
-from glissando.io.atomic_folder import require_new
+from glissando.io.atomic import require_new, write_text
 from glissando.io.session_log import read_session
 from glissando.io.session_recording import LOG
 from glissando.model.slide_path import read_slide

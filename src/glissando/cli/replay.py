@@ -12,15 +12,14 @@ import numpy as np
 from rich.markup import escape
 
 from glissando.cli.browser import browser_view
-from glissando.cli.console import Console
+from glissando.cli.console import Console, site_table, truth_cells
 from glissando.cli.outputs import require_results_folder, stated
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_choices, add_command, recording_and_robot
-from glissando.cli.tables import site_table, truth_cells
 from glissando.errors import GlissandoError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.evaluation.replay import Replay, replay
-from glissando.io.atomic_folder import renewed_folder
+from glissando.io.atomic import renewed_folder
 from glissando.io.provenance import write_report
 from glissando.io.query_csv import write_states
 from glissando.model.robot import Robot

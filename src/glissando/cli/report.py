@@ -7,7 +7,7 @@ from pathlib import Path
 
 from glissando.cli.outputs import PAGE, require_replaceable, require_writable
 from glissando.cli.shared import Commands, add_command
-from glissando.io.atomic_file import write_text
+from glissando.io.atomic import write_text
 from glissando.visualization.page.comparison import comparison, written_runs
 
 _HELP = """\

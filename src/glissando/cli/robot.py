@@ -11,7 +11,7 @@ from shlex import quote
 from glissando.cli.say import say
 from glissando.cli.shared import Commands, add_command, names
 from glissando.errors import GlissandoError
-from glissando.io.atomic_file import write_text
+from glissando.io.atomic import write_text
 from glissando.io.physics_template import physics_text
 from glissando.io.robot_template import RobotOutline, robot_text
 

@@ -10,7 +10,7 @@ from glissando.cli.outputs import require_writable
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_command, names
 from glissando.errors import SimulationError
-from glissando.io.atomic_folder import require_new
+from glissando.io.atomic import require_new
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.model.tendons.channel import Channel

@@ -10,7 +10,7 @@ from glissando.cli.progress import working
 from glissando.cli.say import say
 from glissando.cli.shared import Commands, add_choices, add_command, posterior_shown
 from glissando.cli.unused_options import refuse_unused
-from glissando.io.atomic_file import write_text
+from glissando.io.atomic import write_text
 from glissando.visualization.page import page, scene_of, subtitle
 from glissando.visualization.page.live import play
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import write_text
+from glissando.io.atomic import write_text
 from glissando.io.plain_file import plain_text
 from glissando.io.provenance import digests
 from glissando.model.robot import Robot

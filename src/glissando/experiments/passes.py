@@ -10,7 +10,7 @@ from math import ceil
 from pathlib import Path
 
 from glissando.experiments.scenes import ROBOT, Scene, bench
-from glissando.io.atomic_file import write_text
+from glissando.io.atomic import write_text
 from glissando.io.shipped_robots import robot_file
 
 SHAPE = "C-to-S"

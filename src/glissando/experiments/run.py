@@ -21,7 +21,7 @@ from glissando.experiments.page import page
 from glissando.experiments.runner import ignoring_interrupts
 from glissando.experiments.scenes import PAPER_RATE, ROBOT, Scene, Trial, trial
 from glissando.experiments.studies import Studies
-from glissando.io.atomic_file import write_text
+from glissando.io.atomic import write_text
 from glissando.visualization.canvas import save_figure
 from glissando.visualization.film import save_animation
 

@@ -15,7 +15,7 @@ import numpy as np
 from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import write_table
+from glissando.io.atomic import write_table
 from glissando.io.plain_file import plain_text, require_plain
 from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings

@@ -17,7 +17,7 @@ import numpy as np
 
 from glissando.errors import RecordingError, SensorError
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import write_text
+from glissando.io.atomic import write_text
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.plain_file import file_stem
 from glissando.io.recording_writer import describe_recording, describe_stream, named_in

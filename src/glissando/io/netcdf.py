@@ -22,7 +22,7 @@ from glissando.estimation.posterior import Posterior
 from glissando.estimation.solve_report import SolveReport
 from glissando.estimation.transported import has_rolled, transported
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import new_file
+from glissando.io.atomic import new_file
 from glissando.io.labelled_posterior import FIELDS, Variables, labelled
 from glissando.io.plain_file import largest_deflated, require_plain
 from glissando.io.provenance import require_readable, versions

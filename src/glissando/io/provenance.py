@@ -14,7 +14,7 @@ from typing import Any
 
 from glissando import __version__
 from glissando.errors import GlissandoError
-from glissando.io.atomic_file import write_text
+from glissando.io.atomic import write_text
 
 FORMATS = {"posterior": 2, "recording": 1, "session": 1, "robot": 1, "calibration": 1}
 """Version of each format that is written; those before it are read, too (docs/formats.md)."""

@@ -12,7 +12,7 @@ from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.state_estimate import StateEstimate
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import write_table
+from glissando.io.atomic import write_table
 
 QUERY_COLUMNS = [
     *("time", "arclength", "x", "y", "z", "qw", "qx", "qy", "qz"),

@@ -12,7 +12,7 @@ import numpy as np
 
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_folder import new_folder
+from glissando.io.atomic import new_folder
 from glissando.io.csv_stream import Stream, clean, read_named, read_public, scale_of
 from glissando.io.plain_file import file_stem
 from glissando.io.provenance import require_readable

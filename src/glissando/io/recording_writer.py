@@ -13,7 +13,7 @@ import numpy as np
 
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import write_text
+from glissando.io.atomic import write_text
 from glissando.io.csv_stream import Stream, write_named
 from glissando.io.plain_file import file_stem
 from glissando.io.provenance import made_by, stated_format

@@ -11,7 +11,7 @@ import tomli_w
 from glissando.errors import RobotFileError
 from glissando.estimation.given import require_kind
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import write_text
+from glissando.io.atomic import write_text
 from glissando.io.provenance import made_by, stated_format
 from glissando.io.robot_file import LOSSES
 from glissando.model.robot import Robot

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from glissando.geometry import se3
-from glissando.io.atomic_file import write_table
+from glissando.io.atomic import write_table
 from glissando.simulation.dynamics.motion import DynamicMotion
 
 _PLACES, _RATE = 15, 100.0

@@ -10,8 +10,7 @@ import numpy as np
 
 from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import write_table
-from glissando.io.atomic_folder import new_folder
+from glissando.io.atomic import new_folder, write_table
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.recording_writer import write_streams
 from glissando.model.short_repr import ShortRepr

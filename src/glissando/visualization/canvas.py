@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from glissando.errors import GlissandoError, needing
-from glissando.io.atomic_file import new_file
+from glissando.io.atomic import new_file
 from glissando.model.quantiles import chi_square_quantile
 
 if TYPE_CHECKING:

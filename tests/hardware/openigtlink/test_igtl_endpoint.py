@@ -18,8 +18,8 @@ from glissando.hardware.openigtlink import endpoint as endpoint_module
 from glissando.hardware.openigtlink import peer_server as peer_server_module
 from glissando.hardware.openigtlink.address import Address
 from glissando.hardware.openigtlink.fields import MessageError
-from glissando.hardware.openigtlink.framer import Framer
 from glissando.hardware.openigtlink.link import Packet, PacketLink
+from glissando.hardware.openigtlink.message import Framer
 from glissando.hardware.openigtlink.peer_server import PeerServer
 from igtl_messages import random_messages
 from waiting import until

@@ -8,8 +8,8 @@ from glissando.errors import DeviceError
 from glissando.geometry import se3
 from glissando.hardware.openigtlink import Message
 from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.openigtlink.address import WireFrame
 from glissando.hardware.openigtlink.tracker import is_rigid, normalized, poses_in
-from glissando.hardware.openigtlink.wire_frame import WireFrame
 
 METRE, PER_SECOND = 0x01 << 54 | 1 << 50, 0x03 << 44 | 0xF << 40
 

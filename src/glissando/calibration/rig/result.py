@@ -16,7 +16,7 @@ from glissando.calibration.rig.rig import ANYWHERE, MOUNT, PARAMETERS, Rig, RigD
 from glissando.errors import GlissandoError, RecordingError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import write_text
+from glissando.io.atomic import write_text
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.provenance import require_readable, stated_format, versions
 from glissando.io.recording import Recording

@@ -20,7 +20,7 @@ from glissando.calibration.robot.hyperparameters import Document
 from glissando.calibration.robot.objective import Centre, Objective
 from glissando.calibration.robot.predictive import Score
 from glissando.errors import GlissandoError
-from glissando.io.atomic_file import new_file
+from glissando.io.atomic import new_file
 
 _objective: Objective | None = None  # of a worker process
 

@@ -13,10 +13,9 @@ from glissando.evaluation.plausibility.gravity import check_accelerometers
 from glissando.evaluation.plausibility.lag import check_lag
 from glissando.evaluation.plausibility.noise import check_noise
 from glissando.evaluation.plausibility.poses import check_poses
-from glissando.evaluation.plausibility.reach import check_far, check_reach, out_of_reach
+from glissando.evaluation.plausibility.reach import check_far, check_reach, check_size, out_of_reach
 from glissando.evaluation.plausibility.sampling import check_sampling
 from glissando.evaluation.plausibility.session import Streams
-from glissando.evaluation.plausibility.size import check_size
 from glissando.evaluation.plausibility.slide import check_slide
 from glissando.evaluation.plausibility.span import check_span
 from glissando.evaluation.plausibility.speed import check_grid, check_speed

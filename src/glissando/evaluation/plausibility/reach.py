@@ -1,4 +1,7 @@
-"""Single readings that lie where the robot cannot be, whatever its shape."""
+"""Positions where the robot cannot be: out of its reach, whatever its shape, or too near its base.
+
+What is too near, as arclengths that are too small, was divided by a thousand once too often.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from glissando.evaluation.plausibility.finding import Finding
+from glissando.evaluation.plausibility.finding import Finding, listed
 from glissando.evaluation.plausibility.session import Streams, as_poses, weights
 from glissando.evaluation.plausibility.shape import largest_extension
 from glissando.geometry.se3 import Array
@@ -18,6 +21,9 @@ from glissando.model.sensors.readings import Readings
 _SLACK = 0.15  # of the robot's length, beyond what it reaches
 _FAR = 20.0  # lengths of the robot from its base: another unit, whatever else is wrong
 _FEW = 0.2  # share of a stream that can be false readings; more is a unit or a frame
+_NEAR = 0.02  # of a sensor's arclength: only a closed loop stays nearer to the base
+_AWAY = 0.1  # of the robot's length, from where on that is asked
+_TINY = 1e-6, 1.01e-3  # of the robot's length: where no sensor sits, though one at its tip in mm
 
 
 def check_reach(streams: Streams) -> Iterator[Finding]:
@@ -94,3 +100,44 @@ def distance_from_base(robot: Robot, r: Readings) -> Array:
     """Distances (M,) of a tracker's cross-section from where the robot's base is expected, m."""
     base = robot.prior.rest_state(Grid(robot.arclength_nodes, [0.0])).pose[0, 0, :3, 3]
     return np.linalg.norm(as_poses(r)[:, :3, 3] - base, axis=1)
+
+
+def check_size(streams: Streams) -> Iterator[Finding]:
+    """Findings on trackers that stay at the base though they sit along the robot, or hardly do.
+
+    Args:
+        streams: A session.
+
+    Yields:
+        Findings; those on arclengths alone are warnings.
+    """
+    robot = streams.robot
+    low, high = (share * robot.length for share in _TINY)
+    looped = [r for r in streams.tracked if _at_base(robot, r)]
+    tiny = [r for r in streams.tracked if low < r.arclength.max() < high]
+    for suspects, refusal in ((looped, True), (tiny, False)):
+        if not suspects:
+            continue
+        names = tuple(r.label for r in suspects)
+        farthest = max(suspects, key=lambda r: r.arclength.max())
+        place, seen = farthest.arclength.max(), f"a robot of {robot.length:.3g} m"
+        if refusal:
+            near = distance_from_base(robot, farthest).max()
+            seen = f"never more than {near:.2g} m from the base of {seen}, as if that were a loop"
+        yield Finding(
+            "length-unit",
+            f"{listed(names)} sit{'s' * (len(suspects) == 1)} at arclengths up to {place:.2g} m, "
+            f"{'' if refusal else 'on '}{seen}: lengths are probably in metres, read as "
+            f"millimetres; give metres, or leave out length_unit.",
+            refusal, names, "metres, read as millimetres",
+        )  # fmt: skip
+
+
+def _at_base(robot: Robot, r: Readings) -> bool:
+    """Whether a tracker that sits along the robot stays where its known base is."""
+    away = r.arclength > _AWAY * robot.length
+    moved = any(p.kind == "frame" and r.name in p.streams for p in robot.sensor_parameters)
+    if moved or not robot.prior.fixes_base or weights(r)[0] == 0.0 or not away.any():
+        return False
+    near = distance_from_base(robot, r) < _NEAR * r.arclength
+    return bool(np.all(near[away]))

@@ -17,7 +17,7 @@ from glissando import __version__
 from glissando.errors import needing
 from glissando.experiments.runner import METRICS, Row, run_trials
 from glissando.experiments.study.plan import SETTINGS, Cell, Study, StudyError
-from glissando.io.atomic_file import new_file
+from glissando.io.atomic import new_file
 
 if TYPE_CHECKING:
     import distributed

@@ -1,7 +1,6 @@
 """A rig: tracker, slide and motion capture recorded together, real or simulated."""
 
-from glissando.hardware.capture.capture import capture
-from glissando.hardware.capture.folder import write_recording
+from glissando.hardware.capture.capture import capture, write_recording
 from glissando.hardware.capture.messages import Progress
 from glissando.hardware.capture.setup import Body, Coil, FurtherStage, Rig, load_rig
 from glissando.hardware.capture.simulated import simulated_rig

@@ -2,7 +2,8 @@
 
 Each device has a thread that writes its messages to the session log; the tracker has a process that
 polls it, too. The caller's thread drives the slide. Whatever ends the experiment – its end, an
-exception, Ctrl-C – stops the slide first.
+exception, Ctrl-C – stops the slide first. Its log becomes a recording in
+the same folder.
 """
 
 from __future__ import annotations
@@ -31,8 +32,10 @@ from glissando.hardware.capture.messages import (
 from glissando.hardware.capture.online import OnMessage
 from glissando.hardware.capture.setup import FurtherStage, Rig
 from glissando.hardware.drivers import LinearStage, SlideReading, ViconStream
-from glissando.io.session_log import SessionWriter
-from glissando.io.session_recording import LOG
+from glissando.io.atomic import renewed_folder
+from glissando.io.recording_writer import write_streams
+from glissando.io.session_log import RawSession, SessionWriter
+from glissando.io.session_recording import LOG, session_streams
 from glissando.model.slide_path import SlidePath
 
 _SETTLE = 0.5  # s before the slide moves, in which the tracker's clock converges
@@ -219,3 +222,26 @@ def _wait(seconds: float) -> Iterator[None]:
     while time.monotonic() < end:
         time.sleep(0.02)
         yield
+
+
+def write_recording(session: RawSession, rig: Rig, folder: Path) -> list[str]:
+    """Write the streams of a session as a recording.
+
+    Args:
+        session: The log.
+        rig: The rig it was logged with.
+        folder: Where the recording goes.
+
+    Returns:
+        Sentences on bodies that were never seen, and on gaps.
+
+    Raises:
+        RecordingError: Nothing is left.
+    """
+    recorded = session_streams(session, rig.described())
+    with renewed_folder(folder, ()) as building:
+        frames = {"tracker": recorded.frame}
+        write_streams(
+            building, recorded.name, recorded.streams, robot=recorded.robot, frames=frames
+        )
+    return recorded.warnings

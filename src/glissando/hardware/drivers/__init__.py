@@ -1,8 +1,7 @@
 """Drivers of real devices; each is a context manager that says what is wrong in a sentence."""
 
 from glissando.hardware.drivers.aurora import Aurora
-from glissando.hardware.drivers.gcode import GcodeSlide
-from glissando.hardware.drivers.gcode_stage import GcodeStage
+from glissando.hardware.drivers.gcode import GcodeSlide, GcodeStage
 from glissando.hardware.drivers.interfaces import LinearStage, SlideReading, Tracker
 from glissando.hardware.drivers.position_stage import PositionStage
 from glissando.hardware.drivers.remote_stage import RemoteSlide, RemoteStage

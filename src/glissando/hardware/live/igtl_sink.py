@@ -30,9 +30,9 @@ from glissando.geometry.se3 import Array
 from glissando.hardware.live.update import Update
 from glissando.hardware.openigtlink import Endpoint, Message, encode
 from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.openigtlink.address import WireFrame
 from glissando.hardware.openigtlink.crc import crc64
 from glissando.hardware.openigtlink.polydata import Attribute, PolyData
-from glissando.hardware.openigtlink.wire_frame import WireFrame
 from glissando.io.csv_stream import Rows
 from glissando.model.grid import Index
 from glissando.model.sensors.readings import Readings

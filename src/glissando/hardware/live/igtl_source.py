@@ -21,9 +21,9 @@ from glissando.hardware.live.placement import (
 )
 from glissando.hardware.openigtlink import Endpoint, Message, seconds_since
 from glissando.hardware.openigtlink import contents as c
+from glissando.hardware.openigtlink.address import WireFrame
 from glissando.hardware.openigtlink.sender_clock import SenderClock
 from glissando.hardware.openigtlink.tracker import is_rigid, normalized, poses_in
-from glissando.hardware.openigtlink.wire_frame import WireFrame
 from glissando.io.plain_file import file_stem
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import SENSORS, Readings

@@ -10,7 +10,7 @@ import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.hardware.live.update import Update
-from glissando.io.atomic_file import formats
+from glissando.io.atomic import formats
 from glissando.io.query_csv import QUERY_COLUMNS, state_rows
 
 

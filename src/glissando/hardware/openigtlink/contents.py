@@ -1,7 +1,7 @@
 """What messages say: a class a type, each with its bytes. Lengths are as on the wire.
 
 The protocol leaves the unit of length to the peers; by custom it is the millimetre. Numbers are
-float32 on the wire, big-endian, and stay as they came; `glissando.hardware.openigtlink.wire_frame`
+float32 on the wire, big-endian, and stay as they came; `glissando.hardware.openigtlink.address`
 converts them.
 """
 

@@ -23,9 +23,8 @@ from glissando.errors import DeviceError
 from glissando.hardware.openigtlink.address import Address
 from glissando.hardware.openigtlink.contents import StartTracking
 from glissando.hardware.openigtlink.fields import MessageError
-from glissando.hardware.openigtlink.framer import Framer
 from glissando.hardware.openigtlink.link import ARRIVAL, Packet, PacketLink
-from glissando.hardware.openigtlink.message import Message, encode
+from glissando.hardware.openigtlink.message import Framer, Message, encode
 
 _PEERS = 16  # that may be connected at once
 _QUEUE = 4  # updates that wait for a peer

@@ -10,12 +10,11 @@ import numpy as np
 
 from glissando.hardware.drivers.remote_stage import RemoteStage
 from glissando.hardware.openigtlink import contents as c
-from glissando.hardware.openigtlink.address import Address
+from glissando.hardware.openigtlink.address import Address, WireFrame
 from glissando.hardware.openigtlink.endpoint import Endpoint
 from glissando.hardware.openigtlink.message import Message, encode, stamp_of
 from glissando.hardware.openigtlink.sender_clock import SenderClock
 from glissando.hardware.openigtlink.tracker import poses_in
-from glissando.hardware.openigtlink.wire_frame import WireFrame
 
 COMMAND, MEASURED = "StageTarget", "Stage"
 

@@ -14,11 +14,10 @@ from glissando.geometry.se3 import Array
 from glissando.hardware.drivers.aurora_reply import Frame, PortReading
 from glissando.hardware.drivers.aurora_setup import Tool
 from glissando.hardware.openigtlink import contents as c
-from glissando.hardware.openigtlink.address import Address
+from glissando.hardware.openigtlink.address import Address, WireFrame
 from glissando.hardware.openigtlink.endpoint import Endpoint
 from glissando.hardware.openigtlink.message import Message
 from glissando.hardware.openigtlink.sender_clock import SenderClock
-from glissando.hardware.openigtlink.wire_frame import WireFrame
 
 SKEW = 1e-2  # by which a rotation may fail to be one
 _PAUSE = 0.002  # s between looks

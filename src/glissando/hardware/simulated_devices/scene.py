@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from glissando.errors import SimulationError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import new_file
+from glissando.io.atomic import new_file
 from glissando.model.tendons.channel import Channel
 from glissando.simulation.channel import routed
 from glissando.simulation.imperfections import Imperfections

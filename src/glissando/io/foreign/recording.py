@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from glissando.errors import OtherTimesWarning, RecordingError
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_folder import new_folder
+from glissando.io.atomic import new_folder
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.foreign.columns import EPOCH, read_path
 from glissando.io.foreign.tracks import Track

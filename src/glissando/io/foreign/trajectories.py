@@ -11,7 +11,7 @@ from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.state_estimate import StateEstimate
 from glissando.geometry.se3 import Array, inverse, pose, quaternion
-from glissando.io.atomic_file import new_file
+from glissando.io.atomic import new_file
 from glissando.io.csv_stream import Stream, write_named
 from glissando.io.provenance import stated_format
 from glissando.io.query_csv import write_query

@@ -22,12 +22,11 @@ from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
 from glissando.planning.path_space import PathSpace
 from glissando.planning.planners import InlinePlanner, Planner, PlannerExitedError
-from glissando.planning.scene.close_moments import judged_closely
 from glissando.planning.scene.error_belief import ErrorBelief
 from glissando.planning.scene.follow import MotionFollower
 from glissando.planning.scene.motion_cost import Evaluation
 from glissando.planning.scene.motion_problem import MotionProblem
-from glissando.planning.scene.motion_search import Search
+from glissando.planning.scene.motion_search import Search, judged_closely
 from glissando.planning.scene.motion_space import motion_space
 from glissando.planning.scene.plan_motion import MotionPlan
 from glissando.planning.scene.sampled_risk import sample_risk

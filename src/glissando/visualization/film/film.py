@@ -11,7 +11,7 @@ import numpy as np
 
 from glissando.errors import GlissandoError
 from glissando.estimation.posterior import Posterior
-from glissando.io.atomic_file import new_file
+from glissando.io.atomic import new_file
 from glissando.model.evenly import evenly_chosen
 from glissando.model.grid import Grid
 from glissando.model.sensors.readings import Readings

@@ -20,7 +20,7 @@ from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
 from glissando.geometry.covariance import symmetric_root
 from glissando.geometry.se3 import Array
-from glissando.io.atomic_file import write_text
+from glissando.io.atomic import write_text
 from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 from glissando.visualization.arrows import Arrows
