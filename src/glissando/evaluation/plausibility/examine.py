@@ -9,7 +9,7 @@ import numpy as np
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.reading_fit import fit_of
 from glissando.evaluation.plausibility.finding import Finding, require_known
-from glissando.evaluation.plausibility.gravity import check_accelerometers
+from glissando.evaluation.plausibility.inertial import check_accelerometers, check_gyros
 from glissando.evaluation.plausibility.lag import check_lag
 from glissando.evaluation.plausibility.noise import check_noise
 from glissando.evaluation.plausibility.poses import check_poses
@@ -19,7 +19,6 @@ from glissando.evaluation.plausibility.session import Streams
 from glissando.evaluation.plausibility.slide import check_slide
 from glissando.evaluation.plausibility.span import check_span
 from glissando.evaluation.plausibility.speed import check_grid, check_speed
-from glissando.evaluation.plausibility.turning import check_gyros
 from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording
 from glissando.model.evenly import evenly_chosen
