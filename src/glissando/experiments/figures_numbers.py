@@ -109,6 +109,7 @@ def _draw_table_cell(
             value = unit * _PAPER[kind][shape][arm]
             axes.plot(value, row - 0.3, color=_colour(shape), **_PAPER_LOOK)
     axes.margins(x=0.1)
+    axes.set_xlim(left=0.0)
     axes.locator_params(axis="x", nbins=5, steps=[1, 2, 5, 10])
     axes.grid(axis="x", zorder=0)
     axes.set_axisbelow(True)
