@@ -39,7 +39,7 @@ def z_score(robot, grid, readings, truth):
 
 @pytest.mark.slow
 def test_offsets_drawn_from_their_prior_are_inside_their_deviations():
-    robot, duration = gentle(load_robot("tdcr466-segments")), 4.0
+    robot, duration = gentle(load_robot("tdcr466-segments")), 2.0
     grid = robot.grid(0.0, duration)
     time, one = grid.time, np.broadcast_to(np.eye(4), (grid.time.size, 4, 4)).copy()
     place = sliding(time, robot.length, 0.3)
