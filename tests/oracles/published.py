@@ -51,16 +51,26 @@ class State(NamedTuple):
         return State(self[0] @ se3_exp(d[:, :6]), self[1] + d[:, 6:12], self[2] + d[:, 12:])
 
 
+def hat(x: Array) -> Array:
+    """Cross-product matrices (n, 3, 3) of vectors."""
+    out = np.zeros((len(x), 3, 3))
+    out[:, [2, 0, 1], [1, 2, 0]] = x
+    out[:, [1, 2, 0], [2, 0, 1]] = -x
+    return out
+
+
 def ad(x: Array) -> Array:
     """Lie bracket matrices of [linear, angular] vectors."""
-    v, w = (np.cross(y[:, None], np.eye(3)).swapaxes(1, 2) for y in (x[:, :3], x[:, 3:]))
-    return np.block([[w, v], [np.zeros_like(w), w]])
+    out = np.zeros((len(x), 6, 6))
+    out[:, :3, 3:] = hat(x[:, :3])
+    out[:, :3, :3] = out[:, 3:, 3:] = hat(x[:, 3:])
+    return out
 
 
 def v_matrix(phi: Array) -> Array:
     """The V of p = V rho; its two coefficients are constant to 1e-7 below 1 mrad."""
     a = np.maximum(np.linalg.norm(phi, axis=1), 1e-3)[:, None, None]
-    k = ad(np.hstack([phi, phi]))[:, :3, :3]
+    k = hat(phi)
     return np.eye(3) + (1 - np.cos(a)) / a**2 * k + (a - np.sin(a)) / a**3 * k @ k
 
 
@@ -74,9 +84,10 @@ def se3_exp(x: Array) -> Array:
 
 def between(a: Array, b: Array) -> Array:
     """log(a^-1 b) of batches of poses."""
-    pose = np.linalg.inv(a) @ b
-    phi = Rotation.from_matrix(pose[:, :3, :3]).as_rotvec()
-    return np.hstack([np.linalg.solve(v_matrix(phi), pose[:, :3, 3:])[..., 0], phi])
+    back = a[..., :3, :3].swapaxes(-1, -2)
+    phi = Rotation.from_matrix(back @ b[:, :3, :3]).as_rotvec()
+    shift = back @ (b - a)[:, :3, 3:]
+    return np.hstack([np.linalg.solve(v_matrix(phi), shift)[..., 0], phi])
 
 
 def right_jacobian_inverse(x: Array) -> Array:
