@@ -216,7 +216,7 @@ def test_ranks_are_uniform_where_the_base_is_remembered_for_longer_than_dense_no
 @pytest.mark.slow
 def test_ranks_of_a_shipped_file_that_winds_robots_up_are_uniform():
     """In one of five of its sessions a search from rest ends a turn off."""
-    (found,) = simulate_and_rank(load_robot("tdcr466-segments"), 30, estimators=["batch"])
+    (found,) = simulate_and_rank(load_robot("tdcr466-segments"), 20, estimators=["batch"])
     assert found.not_converged == 0
     assert not found.outside
 
