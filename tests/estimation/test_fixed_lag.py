@@ -214,7 +214,7 @@ def test_the_example_loop_runs_and_is_sure_of_what_it_says():
 @pytest.mark.slow
 def test_memory_does_not_grow_while_it_runs():
     prior, _, readings = sliding_scene(duration=20.0)
-    smoother = FixedLagSmoother(prior, np.linspace(0.0, LENGTH, 4), window=4)
+    smoother = FixedLagSmoother(prior, np.linspace(0.0, LENGTH, 3), window=2)
     held = []
     tracemalloc.start()
     try:
