@@ -38,6 +38,10 @@ def test_a_process_that_only_reads_devices_never_imports_numba():
 
 
 ONCE = "import numpy as np, glissando; print(glissando.se3.exp(np.zeros(6))[0, 0])"
+SMALL = (
+    "import numpy as np; from glissando._kernels import matern;"
+    "print(matern.transition(1.0, np.zeros(1))[0, 0, 0])"
+)  # of the modules that are compiled soonest
 
 
 @pytest.mark.slow
@@ -48,7 +52,7 @@ def test_a_home_that_cannot_be_written_to_does_not_matter(tmp_path, home):
         folder.write_text("a file where a folder is asked for")
     environment = {**os.environ, "HOME": str(folder), "XDG_CACHE_HOME": str(folder / "cache")}
     run = subprocess.run(
-        [sys.executable, "-c", ONCE], env=environment, check=True, capture_output=True, text=True
+        [sys.executable, "-c", SMALL], env=environment, check=True, capture_output=True, text=True
     )
     assert run.stdout == "1.0\n"
 
