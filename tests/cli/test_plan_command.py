@@ -11,10 +11,12 @@ from glissando.io.netcdf import save_posterior
 from glissando.io.recording_folder import load_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.planning import Design, pareto_front
+from glissando.visualization import planning_figures
 
 
 @pytest.mark.slow
-def test_a_planned_path_is_written_and_simulated_as_planned(tmp_path, capsys):
+def test_a_planned_path_is_written_and_simulated_as_planned(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(planning_figures, "_TIMES", 9)  # pictures of a film, which take longest
     out, made = tmp_path / "plan", tmp_path / "made"
     asked = ("--zone", "0.5:0.6", "--horizon", 4, "--start", 0.69)
     assert run("plan", *asked, "--animate", "--out", out) == 0
