@@ -7,6 +7,7 @@ time, with every derivative written out by hand, so that nothing is differenced.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -80,7 +81,7 @@ class Robot:
         inner = [p.end for p in self.pulls] + [p.arclength for p in self.points]
         return sorted({0.0, self.length, *inner})
 
-    @property
+    @cached_property
     def unit(self) -> Array:
         """Wrench (6,) in which what the material carries is counted."""
         return self.stiffness[3] * np.repeat([1.0 / self.length**2, 1.0 / self.length], 3)
@@ -206,7 +207,8 @@ def derivative(robot: Robot, s: float, state: Array, low: float) -> Array:
         if pull.end > low:
             place, slope, bend = pull.path(s)
             along = u_hat @ place + slope + v  # p_i' in the body frame
-            A_i = -pull.tension * hat(along) @ hat(along) / np.linalg.norm(along) ** 3
+            turned = hat(along)
+            A_i = -pull.tension * turned @ turned / np.linalg.norm(along) ** 3
             a_i = A_i @ (u_hat @ along + u_hat @ slope + bend)
             r = hat(place)
             A += A_i
@@ -215,11 +217,16 @@ def derivative(robot: Robot, s: float, state: Array, low: float) -> Array:
             H -= r @ A_i @ r
             a += a_i
             b += r @ a_i
-    K = np.diag(robot.stiffness)
-    d = K[:3, :3] @ rest_slope[:3] - u_hat @ n - turn.T @ robot.weight - a
-    c = K[3:, 3:] @ rest_slope[3:] - u_hat @ m - hat(v) @ n - b
-    strain_slope = np.linalg.solve(K + np.block([[A, G], [B, H]]), np.concatenate([d, c]))
-    carried_slope = K @ (strain_slope - rest_slope) / robot.unit
+    K = robot.stiffness  # the diagonal
+    d = K[:3] * rest_slope[:3] - u_hat @ n - turn.T @ robot.weight - a
+    c = K[3:] * rest_slope[3:] - u_hat @ m - hat(v) @ n - b
+    whole = np.diag(K)
+    whole[:3, :3] += A
+    whole[:3, 3:] = G
+    whole[3:, :3] = B
+    whole[3:, 3:] += H
+    strain_slope = np.linalg.solve(whole, np.concatenate([d, c]))
+    carried_slope = K * (strain_slope - rest_slope) / robot.unit
     return np.concatenate([turn @ v, (turn @ u_hat).ravel(), carried_slope])
 
 
