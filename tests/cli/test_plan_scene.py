@@ -12,6 +12,7 @@ from PIL import Image, ImageSequence
 from glissando.cli.main import main
 from glissando.io.robot_file import load_robot
 from glissando.io.tendon_commands import read_tendon_commands
+from glissando.visualization import scene_figure
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "scene"
 
@@ -31,7 +32,10 @@ def folder(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_example_is_planned_and_its_commands_are_such_as_predict_reads(folder, capsys):
+def test_the_example_is_planned_and_its_commands_are_such_as_predict_reads(
+    folder, capsys, monkeypatch
+):
+    monkeypatch.setattr(scene_figure, "_FRAMES", 12)  # of a film, each of which takes long
     out = folder / "motion"
     assert planned(folder, "--out", out, "--figure", "svg", "--json", "--animate") == 0
     report = json.loads(capsys.readouterr().out)
