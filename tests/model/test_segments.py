@@ -145,7 +145,7 @@ def test_a_shape_with_a_jump_keeps_its_poses_when_a_step_bends_it(kind):
 
 # Bodies whose curvature truly jumps
 
-LENGTH, JOINT, TRIALS = 0.5, 0.25, 200
+LENGTH, JOINT, TRIALS = 0.5, 0.25, 100
 NODES = np.linspace(0.0, LENGTH, 9)
 INSIDE = np.array([1e-8, 1e-8, 1e-8, 2e-4, 2e-4, 2e-4])  # density of strain within a segment
 FIRST = np.array([1e-6, 1e-6, 1e-6, 0.8, 0.8, 0.2])  # variance of the first segment's strain
