@@ -91,8 +91,13 @@ def test_a_stream_that_contradicts_the_others_is_accused_and_a_right_one_is_not(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("memory", [1.0, np.inf])
-@pytest.mark.parametrize("kind", ["mount", "frame", "time_offset"])
+@pytest.mark.parametrize(
+    ("kind", "memory"),
+    [
+        *(("mount", 1.0), ("mount", np.inf), ("frame", 1.0), ("frame", np.inf)),
+        ("time_offset", np.inf),  # which never drifts
+    ],
+)
 def test_streams_of_sensors_that_are_estimated_are_predicted_as_surely_as_they_are(kind, memory):
     """Sessions drawn from the prior: sensor parameters go with states, and drift."""
     spread = np.repeat([1e-8, 0.02], 3)
@@ -100,9 +105,10 @@ def test_streams_of_sensors_that_are_estimated_are_predicted_as_surely_as_they_a
     std = np.repeat([3e-3, 3e-2], 3) if kind != "time_offset" else np.array([0.05])
     drift = () if kind == "time_offset" else (memory,)
     own = SensorParameter("own", kind, ("tip",), np.zeros(std.size), std, *drift)
+    nodes = 5 if kind == "time_offset" else 3  # of a delay, three show false confidence less well
     robot = replace(
-        load_robot("tdcr466"), prior=prior, length=0.4, arclength_nodes=np.linspace(0.0, 0.4, 5),
-        sensor_parameters=(own,), time_rate=4.0,
+        load_robot("tdcr466"), prior=prior, length=0.4, sensor_parameters=(own,), time_rate=4.0,
+        arclength_nodes=np.linspace(0.0, 0.4, nodes),
     )  # fmt: skip
     grid, cov = robot.grid(0.0, 6.0), np.repeat([2.5e-7, 2.5e-5], 3)
     at = {"time": grid.time}
