@@ -23,7 +23,7 @@ from glissando.geometry import se3
 from glissando.model.priors.transitions import process_covariances
 from glissando.model.state import DOF
 
-LENGTH, FINE, TRIALS = 0.5, 40, 200
+LENGTH, FINE, TRIALS = 0.5, 40, 100
 PSD_STRAIN = np.array([1e-5, 1e-5, 1e-5, 2.0, 2.0, 0.5])
 PSD_VELOCITY = np.array([1e-4, 1e-4, 1e-4, 1e-2, 1e-2, 1e-2])
 BASE = BaseDensity(
