@@ -22,7 +22,6 @@ from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.state import State
 from glissando.solver.linearize import linearize
 from glissando.solver.located_readings import locate
-from glissando.solver.normal_equations import system_shape
 
 _DRAWS = 4000  # of a robot that nothing touches, for the threshold
 RAREST = 4.0 / _DRAWS
@@ -99,13 +98,10 @@ def seen_times(posterior: Posterior) -> NDArray[np.bool_]:
     Args:
         posterior: A posterior that knows where it was linearised.
     """
-    prior, grid, system = posterior.prior, posterior.grid, posterior.system
     assert posterior.linearized is not None
-    state, noise_state = posterior.linearized
-    workspace = np.empty(system_shape(grid.time.size, state.numbers))
-    alone = linearize(prior, locate(grid, []), state, noise_state, workspace).system
-    own = np.einsum("kii->ki", system.diagonal)[:, : state.numbers]
-    rest = np.einsum("kii->ki", alone.diagonal)
+    alone = linearize(posterior.prior, locate(posterior.grid, []), *posterior.linearized)
+    rest = np.einsum("kii->ki", alone.system.diagonal)
+    own = np.einsum("kii->ki", posterior.system.diagonal)[:, : rest.shape[1]]
     return np.asarray(np.any(np.abs(own - rest) > _ROUNDING * own, axis=1))
 
 

@@ -19,7 +19,6 @@ from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
 from glissando.solver.linearize import linearize
 from glissando.solver.located_readings import locate
-from glissando.solver.normal_equations import system_shape
 
 _OWN = 2.0  # time scales that a window has to last, for its own readings to outweigh those before
 _System = tuple[Array, Array, Array]  # diagonal, lower, and right side
@@ -118,7 +117,6 @@ def _system_of(posterior: Posterior) -> _System:
 
 def _prior_alone(posterior: Posterior, prior: MechanicalPrior) -> _System:
     """The system of a prior alone where a posterior was linearised."""
-    grid, (start, noise_state) = posterior.grid, posterior.linearized or (posterior.state,) * 2
-    workspace = np.empty(system_shape(grid.time.size, start.numbers))
-    alone = linearize(prior, locate(grid, []), start, noise_state, workspace)
+    states = posterior.linearized or (posterior.state, posterior.state)
+    alone = linearize(prior, locate(posterior.grid, []), *states)
     return alone.system.diagonal, alone.system.lower, alone.rhs

@@ -16,7 +16,6 @@ from glissando.model.state import State
 from glissando.solver.block_tridiagonal import factor
 from glissando.solver.linearize import linearize
 from glissando.solver.located_readings import locate
-from glissando.solver.normal_equations import system_shape
 from glissando.solver.square_root import root_information
 
 
@@ -35,9 +34,8 @@ def log_normalizer(prior: Prior, grid: Grid, state: State, noise_state: State) -
         UnobservableError: The prior alone leaves states undetermined.
     """
     load_kernels(prior)
-    workspace = np.empty(system_shape(grid.time.size, state.numbers))
     with one_thread():
-        alone = linearize(prior, locate(grid, [], ()), state, noise_state, workspace)
+        alone = linearize(prior, locate(grid, []), state, noise_state)
         known = np.zeros(alone.system.diagonal.shape[:2])
         if not prior.fixes_base:
             known[0, : state.dof] = 1.0  # the first base, with unit variance

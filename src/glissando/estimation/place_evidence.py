@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from glissando.estimation.slope_share import add_noise
+from glissando.estimation.slope_share import rhs_of_noise
 from glissando.geometry.se3 import Array
 from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameter_process import EstimatedParameters
@@ -27,8 +27,6 @@ from glissando.model.sensors.parameters import SensorParameter
 from glissando.solver.block_tridiagonal import Cholesky, factor
 from glissando.solver.gauss_newton import Solution
 from glissando.solver.linearize import linearize
-from glissando.solver.measurement_factors import measurement_factors
-from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
 _ROUNDS = 6  # of finding slopes and solving again
 _DRAWS = 2  # of noise, for what readings tell of the states
@@ -106,15 +104,12 @@ def _activity(prior: Prior, solution: Solution, cholesky: Cholesky) -> float:
 
     Twice the prior's cost, over the number of directions in the states of which readings tell.
     """
-    at, located = solution.equations, solution.located
+    at = solution.equations
     done = 2.0 * sum(terms.cost(terms.residual) for terms in at.prior_terms())
-    layout = Layout(located.grid.arclength.size, at.state.dof, located.parameters.process.size)
     expected, rng = 0.0, np.random.default_rng(0)
     for _ in range(_DRAWS):
-        builder = NormalEquationsBuilder.joined(layout, located.grid.time.size)
-        for _, _, batch in measurement_factors(prior, located, at.state, at.noise_state):
-            add_noise(builder, batch, batch.terms.robust_weights(), rng)
-        expected += float(np.sum(builder.rhs_begin * cholesky.solve(builder.rhs_begin))) / _DRAWS
+        rhs = rhs_of_noise(prior, solution.located, (at.state, at.noise_state), rng)
+        expected += float(np.sum(rhs * cholesky.solve(rhs))) / _DRAWS
     return done / expected
 
 
@@ -122,7 +117,7 @@ def _minus_evidence(prior: Prior, solution: Solution, step: Array) -> float:
     """Minus the log evidence, up to a constant, a step (K, D) away from a solution."""
     of_nodes, of_parameters = solution.equations.split(step)
     state, located = solution.state.retract(of_nodes), solution.located.moved(of_parameters)
-    stepped = linearize(prior, located, state, state, np.empty_like(solution.workspace))
+    stepped = linearize(prior, located, state, state)
     return stepped.cost_of(stepped) + 0.5 * (stepped.log_det_noise + factor(stepped.system).log_det)
 
 

@@ -21,10 +21,10 @@ from glissando.model.sensors.parameter_process import HELD
 from glissando.model.state import State
 from glissando.solver.block_tridiagonal import Cholesky, factor
 from glissando.solver.gauss_newton import Solution
-from glissando.solver.linearize import linearize
+from glissando.solver.linearize import layout_of, linearize
 from glissando.solver.located_readings import LocatedReadings, locate
 from glissando.solver.measurement_factors import measurement_factors
-from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
+from glissando.solver.normal_equations import Gradient, NormalEquationsBuilder
 
 _ALIKE = 6.0  # numbers of readings that vary as one square, by how much draws of noise differ
 
@@ -53,8 +53,6 @@ def shares_of_slope(
     columns = [state.numbers + delay for delay in delays]
     held.system.diagonal[:, columns, columns] += HELD
     cholesky = factor(held.system, cholesky)
-    layout = Layout(moving.grid.arclength.size, state.dof, process.size)
-    builder = NormalEquationsBuilder.joined(layout, moving.grid.time.size, workspace)
     out = dict.fromkeys(late, 0.0)
     for stream in moving.streams:
         if stream.name in late:
@@ -62,7 +60,7 @@ def shares_of_slope(
             own = with_parameters(own, moving.parameters.by_name())
             of_motion, *of_noise = (
                 _information_of_motion(
-                    prior, replace(own, motion=motion), solution, delays, cholesky, builder
+                    prior, replace(own, motion=motion), solution, delays, cholesky
                 )
                 for motion in (moving.motion, *noise)
             )
@@ -94,43 +92,47 @@ def _information_of_motion(
     solution: Solution,
     delays: Sequence[int],
     cholesky: Cholesky,
-    builder: NormalEquationsBuilder,
 ) -> float:
-    """What the readings of a stream tell of its delay by the motion, s⁻².
-
-    Of the builder's sums only those of the right-hand side are set to zero and read.
-    """
+    """What the readings of a stream tell of its delay by the motion, s⁻²."""
     process, state = own.parameters.process, solution.state
     columns, out = [*delays, *(process.size + column for column in delays)], 0.0
-    noise_state, rhs = solution.equations.noise_state, builder.rhs_begin
-    rhs.fill(0.0)
-    for _, _, batch in measurement_factors(prior, own, state, noise_state):
+    sums = Gradient(layout_of(own, state), own.grid.time.size)
+    for _, _, batch in measurement_factors(prior, own, state, solution.equations.noise_state):
         if batch.extras is not None:
             slope = batch.extras[..., columns].sum(axis=-1)
             weights = batch.terms.robust_weights()
             out += float(np.sum(weights * np.sum(batch.terms.whiten(slope) ** 2, axis=1)))
             terms = replace(batch.terms, residual=slope)
-            builder.accumulate(replace(batch, terms=terms), weights)
-    return out - float(np.sum(rhs * cholesky.solve(rhs)))
+            sums.accumulate(replace(batch, terms=terms), weights)
+    return out - float(np.sum(sums.rhs * cholesky.solve(sums.rhs)))
 
 
 def motion_of_noise(prior: Prior, shown: Solution, rng: np.random.Generator) -> State:
     """What noise of the readings alone would make a robot at rest seem to do."""
     located, state = shown.located, shown.state
-    layout = Layout(located.grid.arclength.size, state.dof, located.parameters.process.size)
-    builder = NormalEquationsBuilder.joined(layout, located.grid.time.size, shown.workspace)
-    noise_state = shown.equations.noise_state
-    for _, _, batch in measurement_factors(prior, located, state, noise_state):
-        add_noise(builder, batch, batch.terms.robust_weights(), rng)
-    step = shown.cholesky.solve(builder.rhs_begin)[:, : state.numbers]
+    rhs = rhs_of_noise(prior, located, (state, shown.equations.noise_state), rng)
+    step = shown.cholesky.solve(rhs)[:, : state.numbers]
     rest = prior.rest_state(located.grid).with_fields_of(state)
     return rest.retract(step.reshape(*state.strain.shape[:2], state.dof))
 
 
+def rhs_of_noise(
+    prior: Prior, located: LocatedReadings, states: tuple[State, State], rng: np.random.Generator
+) -> Array:
+    """What readings at states would have on the right (K, D) were nothing but noise in them."""
+    sums = Gradient(layout_of(located, states[0]), located.grid.time.size)
+    for _, _, batch in measurement_factors(prior, located, *states):
+        add_noise(sums, batch, batch.terms.robust_weights(), rng)
+    return sums.rhs
+
+
 def add_noise(
-    builder: NormalEquationsBuilder, batch: Factors, weights: Array, rng: np.random.Generator
+    sums: NormalEquationsBuilder | Gradient,
+    batch: Factors,
+    weights: Array,
+    rng: np.random.Generator,
 ) -> None:
     """Add readings as they would be if there were nothing but noise in them, with weights (M,)."""
     white = rng.standard_normal(batch.terms.residual.shape)
     noise = np.asarray(np.linalg.solve(batch.terms.sqrt_info, white[..., None])[..., 0])
-    builder.accumulate(replace(batch, terms=replace(batch.terms, residual=noise)), weights)
+    sums.accumulate(replace(batch, terms=replace(batch.terms, residual=noise)), weights)

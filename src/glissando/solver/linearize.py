@@ -90,7 +90,7 @@ def linearize(
     located: LocatedReadings,
     state: State,
     noise_state: State,
-    workspace: Array,
+    workspace: Array | None = None,
     fixed_weights: Sequence[Residuals] | None = None,
 ) -> NormalEquations:
     """Normal equations of prior and readings at a state.
@@ -100,10 +100,11 @@ def linearize(
         located: The readings.
         state: Nodes (K, N) to linearise at.
         noise_state: Nodes (K, N) whose rates the weights come from; they count as constants.
-        workspace: Memory for the system, of `system_shape`, used again: it is the largest.
+        workspace: Memory for the system, of `system_shape`, used again: it is the largest. One of
+            its own unless given.
         fixed_weights: Terms of an earlier linearisation whose weights are to be used as they are.
     """
-    layout = _layout(located, state)
+    layout = layout_of(located, state)
     builder = NormalEquationsBuilder.joined(layout, located.grid.time.size, workspace)
     terms = _accumulate(builder, prior, located, (state, noise_state), fixed_weights)
     return NormalEquations(state, located, noise_state, builder.system(), builder.rhs_begin, terms)
@@ -117,12 +118,13 @@ def gradient(
     fixed_weights: Sequence[Residuals] | None = None,
 ) -> Array:
     """What `linearize` has on the right (K, D), without the system."""
-    sums = Gradient(_layout(located, state), located.grid.time.size)
+    sums = Gradient(layout_of(located, state), located.grid.time.size)
     _accumulate(sums, prior, located, (state, noise_state), fixed_weights)
     return sums.rhs
 
 
-def _layout(located: LocatedReadings, state: State) -> Layout:
+def layout_of(located: LocatedReadings, state: State) -> Layout:
+    """How the numbers of a slab are laid out: those of its nodes, then of sensor parameters."""
     return Layout(located.grid.arclength.size, state.dof, located.parameters.process.size)
 
 

@@ -131,10 +131,14 @@ class Gradient:
     def __init__(self, layout: Layout, count: int) -> None:
         self.layout, self.rhs = layout, np.zeros((count, layout.size))
 
-    def accumulate(self, batch: Factors) -> None:
-        """Take a batch of factors off. Source: equation (19)."""
+    def accumulate(self, batch: Factors, weights: Array | None = None) -> None:
+        """Take a batch of factors off; `weights` (M,) replace those of its loss.
+
+        Source: equation (19).
+        """
         terms, layout, (m, r, c, d) = batch.terms, self.layout, batch.jacobian.shape
-        pull = terms.robust_weights()[:, None] * terms.whiten(terms.residual)
+        weights = terms.robust_weights() if weights is None else weights
+        pull = weights[:, None] * terms.whiten(terms.residual)
         pull = pull[:, None] @ terms.sqrt_info
         slab, node = np.divmod(batch.nodes, layout.nodes)
         first = slab * layout.size + node * layout.dof + batch.dofs.start

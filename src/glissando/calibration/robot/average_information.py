@@ -150,7 +150,7 @@ class _Linearized:
         prior, located = robot.prior, self._located(robot)
         size = located.parameters.process.size + self._state.numbers
         self._memory = np.empty(system_shape(located.grid.time.size, size))
-        here = linearize(prior, located, self._state, self._state, np.empty_like(self._memory))
+        here = linearize(prior, located, self._state, self._state)
         self._cholesky = factor(here.system)
         self._terms, self._rhs = here.terms, here.rhs
         self._left_to_go = self._cholesky.solve(here.rhs)
