@@ -146,7 +146,6 @@ ARGUMENTS = {
     transitions.process_covariances: noise_of_intervals,
     transitions.bridge: inside_intervals,
     noise.sqrt_information: covariances(5),
-    noise.pair_sqrt_information: covariances(12),
     steps.weighted_steps: weighted,
     steps.static_steps: still,
     intervals_.interval_error: rated,
@@ -206,11 +205,10 @@ def test_residuals_of_any_number_of_rows_are_whitened(size):
     same(noise.sqrt_information(cov), oracles.factors.sqrt_information(cov))
 
 
-@pytest.mark.parametrize("name", ["sqrt_information", "pair_sqrt_information"])
-def test_both_refuse_what_is_no_covariance(name):
+def test_both_refuse_what_is_no_covariance():
     cov = np.broadcast_to(np.eye(12), (2, 12, 12)).copy()
     cov[1, 0, 0] = -1.0
-    for function in (getattr(noise, name), getattr(oracles.factors, name)):
+    for function in (noise.sqrt_information, oracles.factors.sqrt_information):
         with pytest.raises(np.linalg.LinAlgError):
             function(cov)
 

@@ -9,13 +9,7 @@ from draws import generators, law, spd
 from glissando.errors import SensorError
 from glissando.estimation.batch import estimate
 from glissando.model.grid import Grid
-from glissando.model.noise import (
-    GemanMcClure,
-    Huber,
-    covariance_matrix,
-    pair_sqrt_information,
-    sqrt_information,
-)
+from glissando.model.noise import GemanMcClure, Huber, covariance_matrix, sqrt_information
 from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
 from glissando.model.sensors.accelerometer import AccelerometerReadings
 from glissando.model.sensors.sensors import (
@@ -226,19 +220,6 @@ def test_the_root_of_information_makes_noise_white(rng, size):
     root = sqrt_information(cov)
     white = root @ cov @ np.swapaxes(root, -1, -2)
     np.testing.assert_allclose(white, np.broadcast_to(np.eye(size), white.shape), atol=1e-9)
-
-
-@law
-@given(generators)
-def test_the_root_of_a_pairs_information_makes_its_noise_white(rng):
-    cov = spd(rng, 4, size=12)
-    cov[:, 6:, 6:] *= np.eye(6)  # what drives a pair is independent, component by component
-    cov[:, :6, :6] += 20.0 * np.eye(6)
-    cov[:, :6, 6:] *= 0.1
-    cov[:, 6:, :6] *= 0.1
-    root = pair_sqrt_information(cov)
-    white = root @ cov @ np.swapaxes(root, -1, -2)
-    np.testing.assert_allclose(white, np.broadcast_to(np.eye(12), white.shape), atol=1e-9)
 
 
 @pytest.mark.parametrize("loss", [Huber(2.0), GemanMcClure(2.0)], ids=lambda x: type(x).__name__)

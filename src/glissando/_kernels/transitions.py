@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from glissando._kernels.jit import jit
-from glissando._kernels.process import bridge_into, pair_whiten_into, process_into
+from glissando._kernels.process import bridge_into, process_into
 from glissando._kernels.scratch import matrix
 
 
@@ -30,12 +30,3 @@ def bridge(rate, step, offset, psd, jump, rigid):
             unused, unused_too,
         )  # fmt: skip
     return gain, cov
-
-
-@jit("(f8[:,:,::1],)")
-def pair_sqrt_information(cov):
-    """Whiteners (M, 12, 12) of covariances whose last block is diagonal."""
-    out = np.zeros(cov.shape)
-    for n in range(len(cov)):
-        pair_whiten_into(cov[n], out[n])
-    return out

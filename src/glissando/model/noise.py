@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from glissando._kernels import process, transitions
+from glissando._kernels import process
 from glissando._kernels.arrays import items
 from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
@@ -58,18 +58,6 @@ def sqrt_information(cov: Array) -> Array:
     """
     size = cov.shape[-1]
     whitener: Array = process.sqrt_information(items(cov, cov.shape[:-2], size, size))
-    return whitener.reshape(cov.shape)
-
-
-def pair_sqrt_information(cov: Array) -> Array:
-    """W (…, 12, 12) with Wᵀ W = cov⁻¹ for a covariance whose last 6×6 block is diagonal.
-
-    Eliminating the diagonal half first leaves a 6×6 Cholesky factor, a quarter of the work.
-
-    Raises:
-        LinAlgError: The covariance is not positive definite.
-    """
-    whitener: Array = transitions.pair_sqrt_information(items(cov, cov.shape[:-2], 12, 12))
     return whitener.reshape(cov.shape)
 
 

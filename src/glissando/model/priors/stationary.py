@@ -20,7 +20,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Cells, Grid, Index
 from glissando.model.interpolation import Interpolation, Points
-from glissando.model.noise import pair_sqrt_information, sqrt_information
+from glissando.model.noise import sqrt_information
 from glissando.model.priors import matern
 from glissando.model.priors.intervals import as_fields, at_nodes, kron_pair
 from glissando.model.priors.rest_shape import RestShape
@@ -115,12 +115,12 @@ def chain_factors(
     """
     every, shape = slice(0, jacobian.shape[-1]), error.shape[:2]
     if first:
-        whitener = pair_sqrt_information if paired else sqrt_information
         root = np.diag(np.diagonal(matern.stationary(time_scale)) ** -0.5)
         still, slopes = error[0].copy(), jacobian[0].copy()
         if angle is not None:
             rolls.turn_all_back(whole(angle[0]), still, slopes)  # (35)
-        yield Factors(nodes[0], every, slopes, Residuals(still, kron_pair(root, whitener(cov[0]))))
+        whitener = kron_pair(root, sqrt_information(cov[0]))
+        yield Factors(nodes[0], every, slopes, Residuals(still, whitener))
     if not len(steps):
         return
     given = whole(steps), whole(error), whole(jacobian), items(cov, shape, *cov.shape[2:])
