@@ -26,8 +26,8 @@ from glissando.estimation.given import (
     model_of,
     require_gate,
     require_jacobians,
+    require_kind,
     require_model,
-    require_stream,
     require_window,
 )
 from glissando.estimation.loads import require_mechanics
@@ -127,7 +127,7 @@ class FixedLagSmoother:
         Raises:
             SensorError: The stream changed its kind.
         """
-        require_stream(readings)
+        require_kind(readings, Readings, "stream", "give the readings of one sensor at a time")
         require_jacobians(self._window.prior, self.arclength, [readings])
         readings = corrected(readings, self._known)
         self._monitor.check_places(readings)

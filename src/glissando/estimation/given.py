@@ -84,7 +84,7 @@ def require_batch(
     """Raise GlissandoError for what cannot be estimated as a recording."""
     require_kind(grid, Grid, "grid", "give robot.grid(first, last) or a Grid")
     require_model(prior, grid.arclength, sensor_parameters)
-    require_streams(readings)
+    require_list(readings, Readings, "readings")
     _require_once(readings)
     _warn_of_strangers(readings, sensor_parameters)
     require_options(options)
@@ -217,11 +217,6 @@ def arclength_nodes(given: ArrayLike) -> Array:
     return nodes
 
 
-def require_streams(readings: Sequence[Readings]) -> None:
-    """Raise SensorError unless readings are a list of streams."""
-    require_list(readings, Readings, "readings")
-
-
 def require_options(options: SolverOptions | None) -> None:
     """Raise GlissandoError for options of another class, such as a dict."""
     if options is not None:
@@ -235,11 +230,6 @@ def require_gate(gate: float | None) -> None:
             f"The gate is {gate!r}; give the chance, between 0 and 1, below which a reading is "
             f"refused, or None."
         )
-
-
-def require_stream(readings: Readings) -> None:
-    """Raise GlissandoError unless these are the readings of one stream."""
-    require_kind(readings, Readings, "stream", "give the readings of one sensor at a time")
 
 
 def require_window(window: int) -> None:

@@ -20,9 +20,9 @@ from glissando.estimation.batch import estimate
 from glissando.estimation.given import (
     arclength_nodes,
     require_jacobians,
+    require_list,
     require_model,
     require_options,
-    require_streams,
     static_model,
 )
 from glissando.estimation.misfit import unreachable_readings
@@ -96,7 +96,7 @@ def estimate_static(
            [ 0.   , -0.025,  0.231]])
     """
     arclength = arclength_nodes(arclength)
-    require_streams(readings)
+    require_list(readings, Readings, "readings")
     prior, readings = static_model(model, readings)
     require_model(prior, arclength)
     require_jacobians(prior, arclength, readings)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
-from glissando.estimation.given import require_model, require_streams, static_model
+from glissando.estimation.given import require_list, require_model, static_model
 from glissando.estimation.static_iteration import iterate
 from glissando.model.grid import Grid
 from glissando.model.priors.mechanical.prior import MechanicalPrior
@@ -75,7 +75,7 @@ def sample_static(
     >>> bool(end.std(axis=0).max() < 0.002), bool(middle.std(axis=0).max() > 0.03)  # metres
     (True, True)
     """
-    require_streams(readings)
+    require_list(readings, Readings, "readings")
     prior, readings = static_model(model, readings)
     require_model(prior, np.asarray(arclength, dtype=float))
     if not 1 <= size <= _LARGEST:
