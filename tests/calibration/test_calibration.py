@@ -8,10 +8,11 @@ from scipy.stats import chi2
 
 import rigs_drawn as rigs
 from glissando.calibration.rig.calibrate import calibrate
-from glissando.calibration.rig.rig import PARAMETERS, Rig, RigData, side_of_backlash
+from glissando.calibration.rig.rig import PARAMETERS, Rig, RigData
 from glissando.calibration.rig.slide_timing import against_slide
 from glissando.errors import RecordingError
 from glissando.geometry import se3
+from glissando.model.slide_track import side_of_play
 
 TAIL = 0.025  # chance that a true law fails, each side
 ROBOT = rigs.robot(rigs.NODES)
@@ -170,7 +171,7 @@ def against_tracker(seed, play, direction):
     delay, lead = rng.uniform(-0.2, 0.2), 1.0 + 2e-3 * rng.standard_normal()
     at = stamps % 6.0
     travel = np.interp(at, [0.0, 2.5, 3.0, 5.5, 6.0], [0.0, 0.06, 0.06, 0.0, 0.0])
-    followed = travel - 0.5 * play * side_of_backlash(travel, max(play, 1e-9))
+    followed = travel - 0.5 * play * side_of_play(travel, max(play, 1e-9))
     time = np.arange(0.2, 29.8, 0.025)
     pose = np.tile(np.eye(4), (time.size, 1, 1))
     pose[:, 2, 3] = 0.64 + direction * lead * np.interp(time, stamps, followed)

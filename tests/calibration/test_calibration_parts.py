@@ -11,12 +11,13 @@ import rigs_drawn as rigs
 from glissando.calibration.rig.calibrate import _fit_direction
 from glissando.calibration.rig.initial_guess import registration
 from glissando.calibration.rig.model import CoilModel
-from glissando.calibration.rig.rig import PARAMETERS, Rig, side_of_backlash
+from glissando.calibration.rig.rig import PARAMETERS, Rig
 from glissando.calibration.rig.shape import _moves, estimate_shape, shape_covariance
 from glissando.calibration.rig.slide_timing import LATEST, slide_lag
 from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
 from glissando.model.interpolation import sort_points
+from glissando.model.slide_track import side_of_play
 from glissando.model.tendons.channel import Channel
 from glissando.solver.block_tridiagonal import factor
 from oracles import dense
@@ -184,7 +185,7 @@ def test_the_slides_lag_is_found_by_speeds_alone():
 def test_play_is_taken_up_before_the_coil_follows():
     travel = np.array([0.0, 2e-5, 1e-3, 9.8e-4, 0.0])
     expected = np.array([0.0, 0.4, 1.0, 0.6, -1.0])
-    assert np.allclose(side_of_backlash(travel), expected)
+    assert np.allclose(side_of_play(travel, 1e-4), expected)
 
 
 def test_a_clocks_delay_and_rate_are_those_of_the_definition():

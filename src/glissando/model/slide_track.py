@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -51,7 +53,8 @@ class SlideTrack:
         if time > before:
             moved = travel - last.travel
             speed = moved / (time - before) if time - before < _APART else 0.0
-            self._readings.append((time, SlideMotion(travel, speed, _way_after(last.way, moved))))
+            way = _side_after(_TURN, last.way, moved)
+            self._readings.append((time, SlideMotion(travel, speed, way)))
 
     def at(self, time: float) -> SlideMotion | None:
         """The slide at a time, s; None before its first reading, and a second after its newest.
@@ -76,7 +79,7 @@ class SlideTrack:
         if after is not None:
             lasts, speed = time - when, (after[1].travel - motion.travel) / (after[0] - when)
         moved = speed * lasts
-        return SlideMotion(motion.travel + moved, speed, _way_after(motion.way, moved))
+        return SlideMotion(motion.travel + moved, speed, _side_after(_TURN, motion.way, moved))
 
 
 def slide_motion(time: Array, arclength: Array) -> dict[str, Any]:
@@ -90,15 +93,21 @@ def slide_motion(time: Array, arclength: Array) -> dict[str, Any]:
     """
     if not np.any(np.diff(arclength)):
         return {"slide_speed": np.zeros(()), "slide_way": np.zeros(())}
-    way, ways = 0.0, []
     moved, lasts = np.diff(arclength, prepend=arclength[:1]), np.diff(time, prepend=time[:1])
-    for step in moved.tolist():
-        way = _way_after(way, step)
-        ways.append(way)
     speed = np.divide(moved, lasts, out=np.zeros_like(moved), where=lasts > 0.0)
-    return {"slide_speed": speed, "slide_way": np.array(ways)}
+    return {"slide_speed": speed, "slide_way": side_of_play(arclength, _TURN)}
 
 
-def _way_after(way: float, moved: float) -> float:
-    """Which way a slide moved last, −1 to 1, after a step in m, from that before it."""
-    return min(1.0, max(-1.0, way + moved / (0.5 * _TURN)))
+def side_of_play(travel: Array, width: float) -> Array:
+    """On which side (L,) of a play, its width in m, travel (L,) has left a slide, from −1 to 1.
+
+    >>> side_of_play(np.array([0.0, 1e-3, 2e-3, 1e-3]), 1e-4).tolist()
+    [0.0, 1.0, 1.0, -1.0]
+    """
+    sides = accumulate(np.diff(travel).tolist(), partial(_side_after, width), initial=0.0)
+    return np.array(list(sides))
+
+
+def _side_after(width: float, side: float, moved: float) -> float:
+    """The side of a play after a step, m, from that before it."""
+    return min(1.0, max(-1.0, side + moved / (0.5 * width)))

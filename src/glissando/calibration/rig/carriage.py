@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from glissando.calibration.rig.rig import PARAMETERS, Rig, RigData, side_of_backlash
+from glissando.calibration.rig.rig import PARAMETERS, Rig, RigData
 from glissando.calibration.rig.slide_timing import LATEST
 from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
 from glissando.model.short_repr import ShortRepr
+from glissando.model.slide_track import side_of_play
 
 _RATE = 1e-4  # standard deviation of a crystal's rate before [inferred]
 _STEP = 0.025  # s between delays that are tried first
@@ -150,7 +151,7 @@ def _followed(data: RigData, stamps: Array, backlash: float) -> Array:
 
 
 def _side(data: RigData, backlash: float) -> Array:
-    return side_of_backlash(data.travel, max(backlash, _LEAST_PLAY))
+    return side_of_play(data.travel, max(backlash, _LEAST_PLAY))
 
 
 def _stamps(time: Array, epoch: float, delay: float, rate: float) -> Array:

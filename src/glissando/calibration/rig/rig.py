@@ -18,6 +18,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.evenly import evenly_chosen
 from glissando.model.priors.rest_shape import STRAIGHT
 from glissando.model.short_repr import ShortRepr
+from glissando.model.slide_track import side_of_play
 from glissando.model.tendons.channel import Channel
 
 PARAMETERS = (
@@ -31,6 +32,7 @@ MOUNT = np.array([0, 1, 3, 4])
 """Entries of the mount's twist that a coil shows: roll is not seen, z is the slide's zero."""
 ANYWHERE = 1.0
 """Standard deviation of the tracker's frame before calibration, m and rad."""
+_PLAY = 1e-4  # m
 _WIDEST = 0.05  # m: radius of a channel
 _BLOCK = 0.1  # s in which all errors but the white ones stay the same
 
@@ -139,8 +141,12 @@ class RigData(ShortRepr):
 
     @cached_property
     def side(self) -> Array:
-        """Side of the backlash on which the coil is (L,), see `side_of_backlash`."""
-        return side_of_backlash(self.travel)
+        """Side of the backlash on which the coil is (L,), from −1 to 1.
+
+        It is computed for a backlash of `_PLAY` whatever the true one, so that the coil's arclength
+        is linear in the backlash.
+        """
+        return side_of_play(self.travel, _PLAY)
 
     def thinned(self, count: int) -> RigData:
         """The same data with at most `count` coil readings, evenly chosen."""
@@ -288,20 +294,3 @@ class Rig:
                 self.slide_clock - other.slide_clock,
             ]
         )
-
-
-def side_of_backlash(travel: Array, width: float = 1e-4) -> Array:
-    """Side of the backlash on which the coil is (L,), from −1 to 1.
-
-    It is computed for a backlash of `width` metres whatever the true one, so that the coil's
-    arclength is linear in the backlash.
-
-    >>> side_of_backlash(np.array([0.0, 1e-3, 2e-3, 1e-3])).tolist()
-    [0.0, 1.0, 1.0, -1.0]
-    """
-    out, behind = np.zeros(travel.size), 0.0
-    steps = np.diff(travel) / (0.5 * width)
-    for k, step in enumerate(steps.tolist()):
-        behind = min(1.0, max(-1.0, behind + step))
-        out[k + 1] = behind
-    return out
