@@ -81,6 +81,17 @@ def reads_from(node: float, before: float | None) -> float:
     return node if before is None else node - _TOLERANCE * (node - before)
 
 
+def node_at(arclength: Array, place: float, what: str) -> int:
+    """Number of the node (N,) at a place, m, or OutsideGridError, which names what is there."""
+    at = int(np.argmin(np.abs(arclength - place)))
+    if abs(arclength[at] - place) > SAME:
+        raise OutsideGridError(
+            f"{what} at {place:g} m, which is no arclength node of the grid (the nearest is "
+            f"{arclength[at]:g} m); add it to the nodes."
+        )
+    return at
+
+
 def points_of(arclength: ArrayLike, time: ArrayLike) -> tuple[Array, Array]:
     """Arclengths and times that broadcast, as arrays of one shape.
 

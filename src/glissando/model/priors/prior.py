@@ -8,10 +8,9 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 
 from glissando._kernels.jit import load
-from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
-from glissando.model.grid import SAME, Grid
+from glissando.model.grid import SAME, Grid, node_at
 from glissando.model.interpolation import Interpolation, Points
 from glissando.model.state import State
 from glissando.model.table import Table
@@ -140,12 +139,7 @@ def by_interval(arclength: Array, psd: Array, joints: Array, jumps: Array) -> Sp
     """
     jump = np.zeros((arclength.size - 1, 6))
     for joint, variance in zip(joints, jumps if np.any(jumps) else 0.0 * joints, strict=True):
-        at = int(np.argmin(np.abs(arclength - joint)))
-        if abs(arclength[at] - joint) > SAME:
-            raise OutsideGridError(
-                f"The robot has a joint at {joint:g} m, which is no arclength node of the grid "
-                f"(the nearest is {arclength[at]:g} m); add it to the nodes."
-            )
+        at = node_at(arclength, joint, "The robot has a joint")
         if at:
             jump[at - 1] = variance
     if psd.ndim == 1 and not np.any(jumps):

@@ -9,7 +9,7 @@ import numpy as np
 
 from glissando.errors import OutsideGridError
 from glissando.geometry.se3 import Array
-from glissando.model.grid import SAME, Grid, Index
+from glissando.model.grid import Grid, Index, node_at
 from glissando.model.mechanics import Mechanics
 from glissando.model.priors.mechanical.flow import Section
 from glissando.model.priors.mechanical.intervals import Intervals
@@ -75,12 +75,7 @@ class LoadedRod:
     def _cut(self, arclength: Array) -> Intervals:
         jump = np.zeros((arclength.size - 1, 6))
         for place in self.joints:
-            at = int(np.argmin(np.abs(arclength - place)))
-            if abs(arclength[at] - place) > SAME:
-                raise OutsideGridError(
-                    f"A segment begins or a load acts at {place:g} m, which is no arclength node "
-                    f"of the grid (the nearest is {arclength[at]:g} m); add it to the nodes."
-                )
+            at = node_at(arclength, place, "A segment begins or a load acts")
             which = np.flatnonzero(self.points == place)
             if at and which.size:
                 jump[at - 1] = self.var_points[which[0]]
