@@ -16,13 +16,13 @@ from glissando.estimation.posterior import Posterior
 from glissando.estimation.state_estimate import StateEstimate
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
+from glissando.model.sensors.parameter_jacobians import by_parameters
 from glissando.model.sensors.parameters import SIZES, SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 
 _PRIOR_STD = {"frame": (0.005, 0.03), "mount": (0.005, 0.05)}  # m, rad: how far off it may be
 _ROUNDS = 2  # Gauss-Newton steps towards the constants, from those of the last evaluation
-_NUDGE = 1e-6
 APART = 0.5
 """Seconds between samples that count: closer ones are correlated."""
 _MOVED = 5e-3, 0.05  # m, rad: motion of a body between samples that count
@@ -192,28 +192,18 @@ def _improved(
         information[at, at] += np.diag(weight)
         rhs[at] -= weight * constant.value
     for stream, at_stream in zip(truth, states, strict=True):
-        residual, cov = _residual(corrected(stream, constants), at_stream)
+        seen = corrected(stream, constants)
+        residual, cov = _residual(seen, at_stream)
         state = State(at_stream.pose, at_stream.strain, at_stream.velocity)
+        own = [i for i, constant in enumerate(constants) if stream.name in constant.streams]
+        values = [(constants[i], constants[i].value) for i in own]
+        slopes = by_parameters(stream, seen, state, seen.jacobian(state), values)
         jacobian = np.zeros((*residual.shape, total))
-        for i, constant in enumerate(constants):
-            if stream.name in constant.streams:
-                for j, nudge in enumerate(_NUDGE * np.eye(size)):
-                    ends = [
-                        corrected(stream, _moved(constants, i, sign * nudge)).residual(state)
-                        for sign in (1.0, -1.0)
-                    ]
-                    jacobian[..., i * size + j] = (ends[0] - ends[1]) / (2.0 * _NUDGE)
+        for i, slope in zip(own, slopes, strict=True):
+            jacobian[..., i * size : (i + 1) * size] = slope
         weighted = np.linalg.solve(cov, jacobian)
         information += np.einsum("mra,mrb->ab", jacobian, weighted)
         rhs -= np.einsum("mra,mr->a", weighted, residual)
     step: Array = np.asarray(np.linalg.solve(information, rhs), dtype=float)
-    for i in range(len(constants)):
-        constants = _moved(constants, i, step[i * size : i * size + size])
-    return constants
-
-
-def _moved(
-    constants: tuple[SensorParameter, ...], i: int, step: Array
-) -> tuple[SensorParameter, ...]:
-    moved = replace(constants[i], value=constants[i].value + step)
-    return (*constants[:i], moved, *constants[i + 1 :])
+    moved = zip(constants, step.reshape(-1, size), strict=True)
+    return tuple(replace(constant, value=constant.value + by) for constant, by in moved)
