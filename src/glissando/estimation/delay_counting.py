@@ -25,7 +25,9 @@ class DelayCounting:
 
     def __init__(self, process: EstimatedParameters) -> None:
         """Begin with what is stated."""
-        self.columns, self._process = process.delay_columns, process
+        self.columns = process.delay_columns
+        delays = [p for p in process.each if p.kind == "time_offset"]
+        self._delays = EstimatedParameters(process.grid, delays)
         self.begin(0.0, process.mean, np.diag(process.std**2))
 
     def begin(self, time: float, values: Array, cov: Array) -> None:
@@ -49,10 +51,11 @@ class DelayCounting:
             start: Values (d,) at which readings are linearised.
             shares: How much of the slope of each counts (d,).
         """
-        before, known = self._at(time)
+        before, cov = self._delays.faded(time - self._time, self._values, self._cov)
+        known = np.linalg.inv(cov)
         told = info - known
         rhs = info @ (values - start) - known @ (before - start)
-        off = np.linalg.inv(known) + np.diag((before - start) ** 2)
+        off = cov + np.diag((before - start) ** 2)
         noise = np.diag(1.0 - shares**2)
         weight = shares[:, None] * np.linalg.inv(np.eye(shares.size) + told @ noise @ off)
         counted = weight @ told * shares
@@ -88,11 +91,3 @@ class DelayCounting:
         self._time, self._cov = time, np.linalg.inv(of_delays + more)
         self._values = self._cov @ (of_delays @ values + more_rhs)
         return more, more_rhs - more @ start
-
-    def _at(self, time: float) -> tuple[Array, Array]:
-        """Values (d,) and information (d, d) at a time, as they fade."""
-        process, at = self._process, self.columns
-        fade = np.exp(-np.abs(time - self._time) / process.memory[at])
-        cov = fade[:, None] * self._cov * fade + np.diag(process.std[at] ** 2 * (1.0 - fade**2))
-        mean = process.mean[at]
-        return mean + fade * (self._values - mean), np.linalg.inv(cov)

@@ -48,14 +48,9 @@ class WindowParameters:
         self._settled = time, values, cov
 
     def begin(self, time: float) -> tuple[Array, Array]:
-        """Values (E,) and covariance (E, E) at a time, by what was known when settled.
-
-        They are stationary, so that they fade alike to times before and after.
-        """
-        process, (settled, values, cov) = self.process, self._settled
-        fade = np.exp(-abs(time - settled) / process.memory)
-        faded = fade[:, None] * cov * fade + np.diag(process.std**2 * (1.0 - fade**2))
-        self._begun = process.mean + fade * (values - process.mean), faded
+        """Values (E,) and covariance (E, E) at a time, by what was known when settled."""
+        settled, *known = self._settled
+        self._begun = self.process.faded(time - settled, *known)
         return self._begun
 
     def believed(self) -> list[SensorParameter]:

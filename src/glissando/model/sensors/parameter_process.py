@@ -72,6 +72,15 @@ class EstimatedParameters:
         decay, off = np.exp(-a), values - self.mean
         return decay, std, np.concatenate([off[:1], off[1:] - decay * off[:-1]])
 
+    def faded(self, lasts: float, values: Array, cov: Array) -> tuple[Array, Array]:
+        """What values (E,) and covariance (E, E) at a time say of one that `lasts` s from it.
+
+        The processes are stationary, so that they fade alike to times before and after.
+        """
+        fade = np.exp(-abs(lasts) / self.memory)
+        spread = fade[:, None] * cov * fade + np.diag(self.std**2 * (1.0 - fade**2))
+        return self.mean + fade * (values - self.mean), spread
+
     def between(self, time: Array) -> tuple[Array, Array, Array]:
         """What the time nodes say of times (M,): an Ornstein-Uhlenbeck bridge.
 
