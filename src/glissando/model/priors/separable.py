@@ -20,7 +20,6 @@ from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
 from glissando.model.field_checks import FieldChecks
 from glissando.model.grid import Cells, Grid, Index
-from glissando.model.interpolation import Interpolation, Points
 from glissando.model.priors.intervals import (
     interval_between,
     interval_end,
@@ -41,13 +40,7 @@ from glissando.model.priors.prior_table import (
 )
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import static_factors
-from glissando.model.priors.stationary import (
-    chain_factors,
-    interpolate_process,
-    least_step,
-    longest_scale,
-    require_digits,
-)
+from glissando.model.priors.stationary import StationaryPrior, chain_factors, longest_scale
 from glissando.model.priors.transitions import bridge, process_covariances
 from glissando.model.state import POSE, STRAIN, State
 from glissando.model.table import Table, pose_table
@@ -68,7 +61,7 @@ class BaseVariance:
 
 
 @dataclass(frozen=True)
-class SeparablePrior:
+class SeparablePrior(StationaryPrior):
     """Gaussian process on pose and strain over arclength × time.
 
     `psd_strain_arclength` (6,) is the density of white noise on ∂ε/∂s at any one time, a strain
@@ -136,15 +129,6 @@ class SeparablePrior:
         """The shape at rest."""
         return RestShape.of_segments(self.rest_strain, self.rest_slope, self.joints)
 
-    @property
-    def fixes_base(self) -> bool:
-        """True: a stationary process strays only so far from where it is expected."""
-        return True
-
-    def least_step(self, arclength: Array) -> float:
-        """The least time between time nodes, s, at which information keeps its digits."""
-        return least_step(self.time_scale)
-
     def with_soft_shear(self) -> SeparablePrior:
         """The prior with shear and extension as soft as bending over 2 cm, or itself if not far."""
         psd = soften(self.psd_strain_arclength)
@@ -195,7 +179,7 @@ class SeparablePrior:
         Every interval, and the base, at the first time and from each of `times` to the next.
         """
         k_count, n_count = grid.shape
-        require_digits(grid, self.time_scale)
+        self.require_digits(grid)
         node = np.arange(k_count * n_count).reshape(k_count, n_count)
         touched = slice(times.start, min(times.stop + 1, k_count))
         here, steps = node[touched], np.diff(grid.time[touched])
@@ -273,17 +257,6 @@ class SeparablePrior:
         """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
         base = self.base_pose, self._base_variance
         yield from static_factors(grid, state, self.rest, self._intervals(grid), base)
-
-    def interpolate(
-        self, grid: Grid, state: State, noise_state: State, points: Points
-    ) -> Interpolation:
-        """State at points between the nodes, conditional on the nodes. Source: (10) to (12).
-
-        Inside a cell: along arclength at both times, then along time. What is left uncertain is
-        that of the whole process, Σ_s ⊗ P∞ + (K_s − Σ_s) ⊗ Σ_t with K_s the prior covariance of the
-        cross-section, Σ_s and Σ_t what the bridges along arclength and along time leave.
-        """
-        return interpolate_process(self, grid, state, noise_state, points)
 
     def between(
         self, grid: Grid, start: State, end: State, k: Index, s: Cells, gain: Array

@@ -31,11 +31,17 @@ _DENSEST = 200.0  # time nodes a time scale: beyond, rounding shows in the covar
 
 
 class StationaryPrior(Protocol):
-    """A prior whose intervals are stationary processes in time, as interpolation needs it."""
+    """A prior whose intervals are stationary processes in time, a base class of such priors.
+
+    Attributes:
+        time_scale: Time scale ℓ, s.
+    """
+
+    time_scale: float
 
     @property
-    def time_scale(self) -> float:
-        """Time scale ℓ, s."""
+    def rest(self) -> RestShape:
+        """The shape that is expected where nothing acts."""
         ...
 
     def arclength_bridge(
@@ -50,11 +56,6 @@ class StationaryPrior(Protocol):
         """State (M,) inside the intervals `s` at time nodes k, Jacobian (M, 24, 2, dof) by both."""
         ...
 
-    @property
-    def rest(self) -> RestShape:
-        """The shape that is expected where nothing acts."""
-        ...
-
     def sections(
         self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
     ) -> list[tuple[float, Array]]:
@@ -64,21 +65,89 @@ class StationaryPrior(Protocol):
         """
         ...
 
+    @property
+    def fixes_base(self) -> bool:
+        """True: a stationary base strays only so far from where it is expected."""
+        return True
 
-def least_step(time_scale: float) -> float:
-    """The least time between nodes, s, of processes with a time scale."""
-    return time_scale / _DENSEST * (1.0 - _SAME)
+    def least_step(self, arclength: Array) -> float:
+        """The least time between time nodes, s, at which information keeps its digits."""
+        return self.time_scale / _DENSEST * (1.0 - _SAME)
 
+    def require_digits(self, grid: Grid) -> None:
+        """Raise OutsideGridError where time nodes are so dense that information loses digits."""
+        steps = np.diff(grid.time)
+        if steps.size and np.median(steps) < self.least_step(grid.arclength):
+            raise OutsideGridError(
+                f"Time nodes {np.median(steps):.3g} s apart are too dense for a time scale of "
+                f"{self.time_scale:g} s: they add nothing and cost all digits; leave "
+                f"{self.time_scale / _DENSEST:.3g} s at least between them."
+            )
 
-def require_digits(grid: Grid, time_scale: float) -> None:
-    """Raise OutsideGridError where time nodes are so dense that information loses digits."""
-    steps = np.diff(grid.time)
-    if steps.size and np.median(steps) < least_step(time_scale):
-        raise OutsideGridError(
-            f"Time nodes {np.median(steps):.3g} s apart are too dense for a time scale of "
-            f"{time_scale:g} s: they add nothing and cost all digits; leave "
-            f"{time_scale / _DENSEST:.3g} s at least between them."
-        )
+    def interpolate(
+        self, grid: Grid, state: State, noise_state: State, points: Points
+    ) -> Interpolation:
+        """State at points between the nodes, conditional on the nodes. Source: (10) to (12).
+
+        Inside a cell: along arclength at both times, then along time. What is left uncertain is
+        that of the whole process, Σ_s ⊗ P∞ + (K_s − Σ_s) ⊗ Σ_t with K_s the prior covariance of the
+        cross-section, Σ_s and Σ_t what the bridges along arclength and along time leave.
+        """
+        s, t = points.along, points.through
+        k = t.lower if points.inside_time else t.nearest
+        n = s.lower if points.inside_arclength else s.nearest
+        m, by_time, both = k.size, np.zeros((2, 2)), 1 + points.inside_time
+        ends = np.concatenate([k, k + 1][:both])
+        every = np.tile(np.arange(m), both)
+        across = s.take(every)
+        bridge = None
+        if points.inside_arclength:
+            bridge = self.arclength_bridge(grid, noise_state, ends, across)
+        gain = None if bridge is None else bridge[0]
+        at, nodes, jacobian = self._at_time_nodes(grid, state, ends, n[every], across, gain)
+        if not points.inside_time:
+            at, jacobian = replace(at, strain_rate=None), jacobian[:, :DOF]
+            if bridge is None:  # on nodes
+                return Interpolation(at, nodes, jacobian, np.zeros((m, DOF, DOF)))
+        else:
+            pose, strain, velocity, jacobian, by_time = kernels.between(
+                self.time_scale, *as_fields(at, (2 * m,)), whole(t.step), whole(t.offset),
+                whole(self.rest.at(points.arclength)), whole(jacobian),
+            )  # fmt: skip
+            at, nodes = State(pose, strain, velocity), np.hstack([nodes[:m], nodes[m:]])
+
+        def left() -> Array:
+            parts, along = [(self.time_scale, np.zeros((12, 12)))], np.zeros((12, 12))
+            if points.inside_time:
+                parts = self.sections(grid, noise_state, k, n, s, points.inside_arclength)
+            if bridge is not None:
+                early, late = bridge[1][:m], bridge[1][-m:]
+                along = early + t.share[:, None, None] * (late - early)
+            cov, through = np.zeros((m, DOF, DOF)), by_time
+            for i, (scale, section) in enumerate(parts):
+                if i:
+                    along, through = np.zeros((12, 12)), matern.bridge(scale, t.step, t.offset)[2]
+                cov += kernels.left_over(
+                    scale, whole(at.velocity), items(through, (m,), 2, 2),
+                    items(section, (m,), 12, 12), items(along, (m,), 12, 12),
+                )  # fmt: skip
+            return cov
+
+        return Interpolation(at, nodes, jacobian, left)
+
+    def _at_time_nodes(
+        self, grid: Grid, state: State, k: Index, n: Index, s: Cells, gain: Array | None
+    ) -> tuple[State, Index, Array]:
+        """State, nodes (M, c) and Jacobian (M, 24, c, dof) at time nodes k.
+
+        At the arclength nodes n or, with the gains (M, 12, 12) of their errors, inside `s`.
+        """
+        if gain is None:
+            return at_nodes(state, k, n)
+        nodes = (k * grid.arclength.size + n)[:, None] + np.arange(2)
+        start, end = (state.flatten().take(nodes[:, i]) for i in (0, 1))
+        at, jacobian = self.between(grid, start, end, k, s, gain)
+        return at, nodes, jacobian
 
 
 def longest_scale(grid: Grid) -> float:
@@ -130,76 +199,3 @@ def chain_factors(
         rolls.turn_all_back(angle[:-1].ravel(), innovation, slopes)
     joined = np.concatenate([nodes[:-1], nodes[1:]], axis=2).reshape(len(innovation), -1)
     yield Factors(joined, every, slopes, Residuals(innovation, info))
-
-
-def interpolate_process(
-    prior: StationaryPrior, grid: Grid, state: State, noise_state: State, points: Points
-) -> Interpolation:
-    """State at points between the nodes, conditional on the nodes. Source: (10) to (12).
-
-    Inside a cell: along arclength at both times, then along time. What is left uncertain is that
-    of the whole process, Σ_s ⊗ P∞ + (K_s − Σ_s) ⊗ Σ_t with K_s the prior covariance of the
-    cross-section, Σ_s and Σ_t what the bridges along arclength and along time leave.
-    """
-    s, t = points.along, points.through
-    k = t.lower if points.inside_time else t.nearest
-    n = s.lower if points.inside_arclength else s.nearest
-    m, by_time, both = k.size, np.zeros((2, 2)), 1 + points.inside_time
-    ends = np.concatenate([k, k + 1][:both])
-    every = np.tile(np.arange(m), both)
-    across = s.take(every)
-    bridge = None
-    if points.inside_arclength:
-        bridge = prior.arclength_bridge(grid, noise_state, ends, across)
-    gain = None if bridge is None else bridge[0]
-    at, nodes, jacobian = _at_time_nodes(prior, grid, state, ends, n[every], across, gain)
-    if not points.inside_time:
-        at, jacobian = replace(at, strain_rate=None), jacobian[:, :DOF]
-        if bridge is None:  # on nodes
-            return Interpolation(at, nodes, jacobian, np.zeros((m, DOF, DOF)))
-    else:
-        pose, strain, velocity, jacobian, by_time = kernels.between(
-            prior.time_scale, *as_fields(at, (2 * m,)), whole(t.step), whole(t.offset),
-            whole(prior.rest.at(points.arclength)), whole(jacobian),
-        )  # fmt: skip
-        at, nodes = State(pose, strain, velocity), np.hstack([nodes[:m], nodes[m:]])
-
-    def left() -> Array:
-        parts, along = [(prior.time_scale, np.zeros((12, 12)))], np.zeros((12, 12))
-        if points.inside_time:
-            parts = prior.sections(grid, noise_state, k, n, s, points.inside_arclength)
-        if bridge is not None:
-            early, late = bridge[1][:m], bridge[1][-m:]
-            along = early + t.share[:, None, None] * (late - early)
-        cov, through = np.zeros((m, DOF, DOF)), by_time
-        for i, (scale, section) in enumerate(parts):
-            if i:
-                along, through = np.zeros((12, 12)), matern.bridge(scale, t.step, t.offset)[2]
-            cov += kernels.left_over(
-                scale, whole(at.velocity), items(through, (m,), 2, 2),
-                items(section, (m,), 12, 12), items(along, (m,), 12, 12),
-            )  # fmt: skip
-        return cov
-
-    return Interpolation(at, nodes, jacobian, left)
-
-
-def _at_time_nodes(
-    prior: StationaryPrior,
-    grid: Grid,
-    state: State,
-    k: Index,
-    n: Index,
-    s: Cells,
-    gain: Array | None,
-) -> tuple[State, Index, Array]:
-    """State, nodes (M, c) and Jacobian (M, 24, c, dof) at time nodes k.
-
-    At the arclength nodes n or, with the gains (M, 12, 12) of their errors, inside `s`.
-    """
-    if gain is None:
-        return at_nodes(state, k, n)
-    nodes = (k * grid.arclength.size + n)[:, None] + np.arange(2)
-    start, end = (state.flatten().take(nodes[:, i]) for i in (0, 1))
-    at, jacobian = prior.between(grid, start, end, k, s, gain)
-    return at, nodes, jacobian

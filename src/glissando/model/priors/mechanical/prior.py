@@ -20,7 +20,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.field_checks import FieldChecks
 from glissando.model.grid import Cells, Grid, Index
-from glissando.model.interpolation import Interpolation, Points
+from glissando.model.interpolation import Interpolation
 from glissando.model.mechanics import Mechanics
 from glissando.model.noise import sqrt_information
 from glissando.model.priors.intervals import RATED
@@ -42,12 +42,7 @@ from glissando.model.priors.mechanical.section import hanging_rod
 from glissando.model.priors.mechanical.table import read_fields
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import STATIC_DOF
-from glissando.model.priors.stationary import (
-    chain_factors,
-    interpolate_process,
-    least_step,
-    require_digits,
-)
+from glissando.model.priors.stationary import StationaryPrior, chain_factors
 from glissando.model.state import State
 from glissando.model.table import Table, pose_table
 
@@ -59,7 +54,7 @@ _ENDS = (slice(None, -1), slice(1, None))  # of intervals, along arclength nodes
 
 
 @dataclass(frozen=True)
-class MechanicalPrior:
+class MechanicalPrior(StationaryPrior):
     """Gaussian process on the loads of a rod over arclength × time.
 
     Attributes:
@@ -148,15 +143,6 @@ class MechanicalPrior:
         """The shape without loads."""
         return RestShape.of_segments(self.rest_strain, self.rest_slope, self.mechanics.joints)
 
-    @property
-    def fixes_base(self) -> bool:
-        """True: the base's pose has a variance."""
-        return True
-
-    def least_step(self, arclength: Array) -> float:
-        """The least time between time nodes, s, at which information keeps its digits."""
-        return least_step(self.time_scale)
-
     def with_soft_shear(self) -> MechanicalPrior:
         """The prior of a rod that moments bend as they like, without forces, soft in shear.
 
@@ -232,7 +218,7 @@ class MechanicalPrior:
         next.
         """
         k_count, n_count = grid.shape
-        require_digits(grid, self.time_scale)
+        self.require_digits(grid)
         node = np.arange(k_count * n_count).reshape(k_count, n_count)
         touched = slice(times.start, min(times.stop + 1, k_count))
         here, local = node[touched], state.take(touched)
@@ -286,12 +272,6 @@ class MechanicalPrior:
             terms = Residuals(error, whitener)
             yield Factors(nodes, _STATIC, slopes, terms)
         yield from self.ends.static_factors(grid, state, node)
-
-    def interpolate(
-        self, grid: Grid, state: State, noise_state: State, points: Points
-    ) -> Interpolation:
-        """State at points between the nodes, conditional on the nodes. Source: (10) to (12)."""
-        return interpolate_process(self, grid, state, noise_state, points)
 
     def acceleration(
         self, grid: Grid, state: State, at: Interpolation, arclength: Array, time: Array
