@@ -1,13 +1,12 @@
 """How residuals depend on the sensor parameters that leave a reading in place.
 
 A frame or a mount acts as a motion of the cross-section does, so its slope follows from the
-residual's slope by the pose. Sensors that are not registered here are differentiated numerically.
+residual's slope by the pose. Other sensors are differentiated numerically.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import singledispatch
 
 import numpy as np
 
@@ -28,7 +27,6 @@ from glissando.model.state import POSE, State
 _NUDGE = 1e-5  # by which a parameter is moved to difference a residual
 
 
-@singledispatch
 def by_frame(readings: Readings, at: State, by_state: Array) -> Array | None:
     """Slope (M, r, 6) of residuals by a motion exp(ξ) of the values in the world, from the left.
 
@@ -40,57 +38,30 @@ def by_frame(readings: Readings, at: State, by_state: Array) -> Array | None:
     Returns:
         The slope, or None for a sensor to be differentiated numerically.
     """
+    if isinstance(readings, PoseReadings | CoilReadings | OrientationReadings):
+        return -by_state[..., POSE] @ se3.adjoint(se3.inverse(at.pose))
+    if isinstance(readings, PositionReadings):
+        still = np.broadcast_to(np.eye(3), (len(readings), 3, 3))
+        return np.concatenate([-still, se3.hat3(readings.values)], axis=-1)
     return None
 
 
-@by_frame.register(PoseReadings)
-@by_frame.register(CoilReadings)
-@by_frame.register(OrientationReadings)
-def _(readings: Readings, at: State, by_state: Array) -> Array:
-    return -by_state[..., POSE] @ se3.adjoint(se3.inverse(at.pose))
-
-
-@by_frame.register
-def _(readings: PositionReadings, at: State, by_state: Array) -> Array:
-    return np.concatenate(
-        [-np.broadcast_to(np.eye(3), (len(readings), 3, 3)), se3.hat3(readings.values)], axis=-1
-    )
-
-
-@singledispatch
 def by_mount(readings: Readings, at: State, by_state: Array) -> Array | None:
     """Slope (M, r, 6) of residuals by a motion exp(ξ) of the sensor in its own frame."""
+    if isinstance(readings, PoseReadings | CoilReadings | OrientationReadings | PositionReadings):
+        return by_state[..., POSE] @ se3.adjoint(readings.mount)
+    if isinstance(readings, GyroReadings):
+        rotation = readings.mount[..., :3, :3]
+        own = np.einsum("...i,...ij->...j", at.velocity[..., 3:], rotation)
+        return np.concatenate([np.zeros((len(readings), 3, 3)), se3.hat3(own)], axis=-1)
     return None
 
 
-@by_mount.register(PoseReadings)
-@by_mount.register(CoilReadings)
-@by_mount.register(OrientationReadings)
-@by_mount.register(PositionReadings)
-def _(readings: Readings, at: State, by_state: Array) -> Array:
-    return by_state[..., POSE] @ se3.adjoint(readings.mount)
-
-
-@by_mount.register
-def _(readings: GyroReadings, at: State, by_state: Array) -> Array:
-    slope = np.zeros((len(readings), 3, 6))
-    slope[..., 3:] = se3.hat3(
-        np.einsum("...i,...ij->...j", at.velocity[..., 3:], readings.mount[..., :3, :3])
-    )
-    return slope
-
-
-@singledispatch
-def by_bias(readings: Readings, at: State, by_state: Array) -> Array | None:
+def by_bias(readings: Readings) -> Array | None:
     """Slope (M, r, 3) of residuals by a bias that is taken off the values."""
+    if isinstance(readings, AccelerometerReadings | GyroReadings | PositionReadings):
+        return np.broadcast_to(np.eye(3), (len(readings), 3, 3))
     return None
-
-
-@by_bias.register(AccelerometerReadings)
-@by_bias.register(GyroReadings)
-@by_bias.register(PositionReadings)
-def _(readings: Readings, at: State, by_state: Array) -> Array:
-    return np.broadcast_to(np.eye(3), (len(readings), 3, 3))
 
 
 def by_parameters(
@@ -128,7 +99,7 @@ def _slope(
 ) -> Array | None:
     """Slope (M, r, size) by one parameter; its own motion joins those that come `after`."""
     if kind == "bias":
-        return by_bias(readings, at, by_state)
+        return by_bias(readings)
     later, own = after[kind], se3.exp(x)
     if kind == "frame":
         moved, inner = by_frame(readings, at, by_state), se3.left_jacobian(x)
