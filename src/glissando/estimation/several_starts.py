@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
@@ -33,18 +32,8 @@ Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
 """Nodes to start from, rest if there are none, and sensor parameters with their values."""
 
 
-class Solve(Protocol):
-    """Solves from a start, with other options if they are given."""
-
-    def __call__(self, initial: Start, options: SolverOptions | None = None) -> Solution:
-        """Where the iteration ends; raises where it breaks down."""
-
-
-class SolvePiece(Protocol):
-    """Estimates some of the time nodes by themselves."""
-
-    def __call__(self, times: slice, initial: State | None) -> Solution:
-        """Where the iteration ends; raises where it breaks down."""
+Solve = Callable[[Start, SolverOptions | None], Solution]
+"""Where the iteration ends from a start, with other options if there are any; may break down."""
 
 
 @dataclass(frozen=True)
@@ -56,14 +45,14 @@ class StartProblem:
         grid: The nodes.
         readings: Readings to explain.
         options: When to stop.
-        piece: Estimates some of the time nodes.
+        piece: Where the iteration of some of the time nodes ends from a start; may break down.
     """
 
     prior: Prior
     grid: Grid
     readings: Sequence[Readings]
     options: SolverOptions
-    piece: SolvePiece
+    piece: Callable[[slice, State | None], Solution]
 
 
 _Elsewhere = Callable[[StartProblem, Solution | None, Start, Solve], Solution | None]
@@ -88,7 +77,7 @@ def best_end(sought: StartProblem, start: Start, solve: Solve) -> Solution:
     """
     taken: list[int] = []
 
-    def counted(initial: Start, options: SolverOptions | None = None) -> Solution:
+    def counted(initial: Start, options: SolverOptions | None) -> Solution:
         solution = solve(initial, options)
         taken.append(solution.iterations)
         return solution
@@ -108,7 +97,7 @@ def _best_end(sought: StartProblem, start: Start, solve: Solve) -> Solution:
         return other
     if start[0] is not None and _is_doubtful(end):
         with suppress(np.linalg.LinAlgError, UnobservableError):
-            end = max(end, solve((None, start[1])), key=partial(_worth, prior))
+            end = max(end, solve((None, start[1]), None), key=partial(_worth, prior))
     if elsewhere and _is_astray(prior, end):
         end = elsewhere(sought, end, start, solve) or end
     return end
@@ -122,7 +111,7 @@ def _patient(
     Also how to start elsewhere, if that is not done yet.
     """
     if elsewhere is None:
-        return solve(start), None
+        return solve(start, None), None
     prior, options = sought.prior, sought.options
     end = solve(start, replace(options, max_iterations=min(options.max_iterations, _PATIENCE)))
     left = options.max_iterations - _PATIENCE
@@ -168,7 +157,7 @@ def _from_bent(
     if best is None or best is end:
         return end
     with suppress(np.linalg.LinAlgError, UnobservableError):
-        best = solve(start_at(best))
+        best = solve(start_at(best), None)
     return max(end or best, best, key=worth)
 
 
@@ -191,7 +180,7 @@ def _from_pieces(
             last, skipped = part.state, half // 2 if first else 0
             for whole, own in zip(state.fields(), last.fields(), strict=True):
                 whole[first + skipped : times.stop] = own[skipped:]
-        joined = solve((state, start[1]))
+        joined = solve((state, start[1]), None)
         return max(end or joined, joined, key=partial(_worth, sought.prior))
     return end
 
