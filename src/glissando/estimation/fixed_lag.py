@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,7 +37,7 @@ from glissando.estimation.posterior import Posterior
 from glissando.estimation.predicted import predicted
 from glissando.estimation.shape_spread import ShapeSpread, spread_between
 from glissando.estimation.sliding_window import SlidingWindow
-from glissando.estimation.state_estimate import StateEstimate, state_at
+from glissando.estimation.state_estimate import StateEstimate, spread, state_at
 from glissando.estimation.window_parameters import NotLinearError
 from glissando.estimation.window_steps import WindowSteps
 from glissando.geometry.se3 import Array
@@ -233,8 +234,8 @@ class FixedLagSmoother:
         wide = self._steps.curved and self.arclength.size > 1
         if np.all(when == self.time):  # as a rule, and then older nodes are not needed
             state, cov, grid = self.newest_node()
-            marginals = Marginals(cov[np.newaxis], np.zeros((0, *cov.shape)))
-            at = state_at(self.prior, grid, state.take(np.newaxis), marginals, place, when)
+            known = partial(spread, grid, Marginals(cov[np.newaxis], np.zeros((0, *cov.shape))))
+            at = state_at(self.prior, grid, state.take(np.newaxis), known, place, when)
             return spread_between(self.arclength, self.newest(), place, at) if wide else at
         window = self._steps.ahead(float(np.max(when, initial=-np.inf)))
         begins, newest = float(window.nodes.time[0]), float(self._window.nodes.time[-1])

@@ -10,11 +10,11 @@ from glissando.errors import OutsideGridError
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import SAME, Grid
-from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
 from glissando.model.short_repr import ShortRepr
 from glissando.model.state import DOF, State
 from glissando.solver.block_tridiagonal import Marginals
+from glissando.solver.spanning_factors import interpolated
 
 
 @dataclass(frozen=True)
@@ -90,18 +90,16 @@ def joint_estimate(
     count, dof = grid.arclength.size, state.dof
     slope = np.zeros((places.size, DOF, count * dof))
     cov = np.zeros((places.size, DOF, places.size, DOF))
-    pose, (strain, velocity) = np.empty((places.size, 4, 4)), np.empty((2, places.size, 6))
-    for points in sort_points(grid, places, np.full(places.shape, grid.time[k])):
-        at = prior.interpolate(grid, state, state, points)
-        pose[points.rows], strain[points.rows] = at.state.pose, at.state.strain
-        velocity[points.rows] = at.state.velocity
-        cov[points.rows, :, points.rows] = at.cov
-        for m, nodes, slopes in zip(points.rows, at.nodes, at.jacobian, strict=True):
+    now = np.full(places.shape, grid.time[k])
+    found, parts = interpolated(prior, grid, state, state, places, now)
+    for rows, at in parts:
+        cov[rows, :, rows] = at.cov
+        for m, nodes, slopes in zip(rows, at.nodes, at.jacobian, strict=True):
             for c, node in enumerate(nodes % count):
                 slope[m, :, node * dof : (node + 1) * dof] += slopes[:, c]
     known = marginals.cov[k][: count * dof, : count * dof]
     cov += np.einsum("mia,ab,njb->minj", slope, known, slope, optimize=True)
-    return JointEstimate(pose, strain, velocity, cov)
+    return JointEstimate(found.pose, found.strain, found.velocity, cov)
 
 
 def _require_apart(grid: Grid, places: Array) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from glissando.errors import GlissandoError, OutsideGridError
+from glissando.estimation.state_estimate import Spread, StateEstimate
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index
@@ -67,27 +68,23 @@ def require_mechanics(prior: Prior, frame: str = "body") -> MechanicalPrior:
 
 
 def internal_wrench(
-    prior: Prior, arclength: Array, pose: Array, strain: Array, cov: Array, frame: str
+    prior: MechanicalPrior, arclength: ArrayLike, at: StateEstimate, frame: str
 ) -> WrenchEstimate:
     """What the part of the rod beyond cross-sections exerts on the part before. Source: (26).
 
     Args:
-        prior: A mechanical prior.
-        arclength: Where (…), m; just beyond a load that acts there.
-        pose: Mean poses (…, 4, 4).
-        strain: Mean strains (…, 6).
-        cov: Covariance (…, 18, 18) of pose, strain and velocity.
+        prior: The prior.
+        arclength: Where, m; broadcast to the states, and just beyond a load that acts there.
+        at: States (…) there.
         frame: "body" or "world".
-
-    Raises:
-        GlissandoError: The prior knows no loads.
     """
-    wrench, stiffness = require_mechanics(prior, frame).rod.wrench(strain, arclength)
+    s = np.broadcast_to(np.asarray(arclength, dtype=float), at.strain.shape[:-1])
+    wrench, stiffness = prior.rod.wrench(at.strain, s)
     slope = np.zeros((*wrench.shape, 12))
     slope[..., 6:] = stiffness[..., None] * np.eye(6)
     if frame == "world":
-        wrench, slope = in_world(pose[..., :3, :3], wrench, slope)
-    spread = slope @ cov[..., :12, :12] @ np.swapaxes(slope, -1, -2)
+        wrench, slope = in_world(at.pose[..., :3, :3], wrench, slope)
+    spread = slope @ at.cov[..., :12, :12] @ np.swapaxes(slope, -1, -2)
     return WrenchEstimate(wrench, symmetrize(spread), frame)
 
 
@@ -114,7 +111,7 @@ def point_loads(
     prior: Prior,
     grid: Grid,
     state: State,
-    spread: Callable[[Index, Array, Array], Array],
+    spread: Spread,
     arclength: Array,
     k: Index,
     frame: str,
@@ -125,9 +122,9 @@ def point_loads(
         prior: A mechanical prior.
         grid: The grid.
         state: Nodes (K, N).
-        spread: Gives covariances (M, 6, 6) by nodes (M, 2), slopes (M, 6, 2, dof) and what is left.
-        arclength: Places (M,), m: the tip's, or some of the prior's `points`.
-        k: Time nodes (M,).
+        spread: What takes covariance from nodes to the loads.
+        arclength: Places (…), m: the tip's, or some of the prior's `points`.
+        k: Time nodes (…).
         frame: "body" or "world".
 
     Raises:
@@ -135,6 +132,7 @@ def point_loads(
         OutsideGridError: No load is expected at a place.
     """
     rod = require_mechanics(prior, frame)
+    lead, arclength, k = arclength.shape, arclength.ravel(), k.ravel()
     places = load_places(rod, grid)
     n = np.abs(arclength[:, None] - grid.arclength).argmin(axis=1)
     expected = np.abs(arclength[:, None] - places).min(axis=1, initial=np.inf) < 1e-9
@@ -156,4 +154,5 @@ def point_loads(
     slope = slope.reshape(n.size, 6, 2, -1)[:, :, ::-1]
     wide = np.zeros((n.size, 6, 2, state.dof))
     wide[..., still_columns(slope.shape[-1])] = slope
-    return WrenchEstimate(wrench, spread(load.nodes, wide, left), frame)
+    cov = spread(load.nodes, wide, left)
+    return WrenchEstimate(wrench.reshape(*lead, 6), cov.reshape(*lead, 6, 6), frame)

@@ -20,7 +20,7 @@ from glissando.estimation.loads import (
     require_mechanics,
 )
 from glissando.estimation.solve_report import SolveReport
-from glissando.estimation.state_estimate import StateEstimate, spread, state_at
+from glissando.estimation.state_estimate import Spread, StateEstimate, spread, state_at
 from glissando.estimation.transported import transported
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, points_of
@@ -96,7 +96,11 @@ class Posterior(ShortRepr):
 
         Raises OutsideGridError for a point off the grid. Source: equations (10) to (12).
         """
-        return state_at(self.prior, self.grid, self.state, self.marginals, arclength, time)
+        return state_at(self.prior, self.grid, self.state, self._spread, arclength, time)
+
+    @property
+    def _spread(self) -> Spread:
+        return partial(spread, self.grid, self.marginals)
 
     def joint(self, arclength: ArrayLike, time: float) -> JointEstimate:
         """Several places at one time with their joint covariance, such as of the tip to the middle.
@@ -130,10 +134,8 @@ class Posterior(ShortRepr):
             GlissandoError: The robot's prior knows no loads.
             OutsideGridError: A point is off the grid.
         """
-        require_mechanics(self.prior, frame)
-        at = self.at(arclength, time)
-        s = np.broadcast_arrays(np.asarray(arclength, dtype=float), time)[0]
-        return internal_wrench(self.prior, s, at.pose, at.strain, at.cov, frame)
+        prior = require_mechanics(self.prior, frame)
+        return internal_wrench(prior, arclength, self.at(arclength, time), frame)
 
     def load(self, arclength: ArrayLike, time: ArrayLike, *, frame: str = "body") -> WrenchEstimate:
         """The unknown wrench that acts at the tip or at one of the prior's `points`.
@@ -147,16 +149,10 @@ class Posterior(ShortRepr):
             GlissandoError: The robot's prior knows no loads.
             OutsideGridError: A point is off the grid, or no load is expected there.
         """
-        s, t = np.broadcast_arrays(
-            np.asarray(arclength, dtype=float), np.asarray(time, dtype=float)
-        )
+        s, t = points_of(arclength, time)
         self.grid.require(s.ravel(), t.ravel(), "Query")
-        k = np.abs(t.ravel()[:, None] - self.grid.time).argmin(axis=1)
-        prior, grid, state = self.prior, self.grid, self.state
-        at_points = partial(spread, grid, self.marginals)
-        load = point_loads(prior, grid, state, at_points, s.ravel(), k, frame)
-        wrench, cov = load.wrench.reshape(*s.shape, 6), load.cov.reshape(*s.shape, 6, 6)
-        return WrenchEstimate(wrench, cov, frame)
+        k = np.abs(t[..., None] - self.grid.time).argmin(axis=-1)
+        return point_loads(self.prior, self.grid, self.state, self._spread, s, k, frame)
 
     def states_on(self, grid: Grid) -> State:
         """Its mean at the nodes (K, N) of another grid, a start for another estimate.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,9 @@ from glissando.solver.block_tridiagonal import Marginals
 
 _CHUNK = 500  # queries at a time: more ask for new memory faster than it is given
 _UNMOVED = np.eye(4)
+
+Spread = Callable[[Index, Array, Array], Array]
+"""Covariances (M, r, r) by nodes (M, c), slopes (M, r, c, dof) by them, and what these leave."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +96,7 @@ def state_at(
     prior: Prior,
     grid: Grid,
     state: State,
-    marginals: Marginals,
+    covariance: Spread,
     arclength: ArrayLike,
     time: ArrayLike,
 ) -> StateEstimate:
@@ -102,7 +106,7 @@ def state_at(
         prior: The prior of the motion.
         grid: The grid.
         state: Mean (K, N) at the nodes.
-        marginals: Covariance of the nodes' numbers, a slab for each time.
+        covariance: What it takes from nodes to the points.
         arclength: Metres; broadcast with `time`.
         time: Seconds.
 
@@ -123,14 +127,10 @@ def state_at(
     for first in range(0, s.size, _CHUNK):
         here = slice(first, first + _CHUNK)
         for points in sort_points(grid, s[here], t[here]):
-            interpolation = prior.interpolate(grid, state, state, points)
-            rows = first + points.rows
-            out.pose[rows] = interpolation.state.pose
-            out.strain[rows] = interpolation.state.strain
-            out.velocity[rows] = interpolation.state.velocity
-            out.cov[rows] = spread(
-                grid, marginals, interpolation.nodes, interpolation.jacobian, interpolation.cov
-            )
+            at, rows = prior.interpolate(grid, state, state, points), first + points.rows
+            out.pose[rows], out.strain[rows] = at.state.pose, at.state.strain
+            out.velocity[rows] = at.state.velocity
+            out.cov[rows] = covariance(at.nodes, at.jacobian, at.cov)
     return StateEstimate(*(a.reshape(*shape, *a.shape[1:]) for a in vars(out).values()))
 
 

@@ -15,10 +15,9 @@ from glissando.estimation.loads import (
     point_loads,
     require_mechanics,
 )
-from glissando.estimation.state_estimate import StateEstimate
+from glissando.estimation.state_estimate import StateEstimate, state_at
 from glissando.geometry.se3 import Array
-from glissando.model.grid import Grid, Index
-from glissando.model.interpolation import sort_points
+from glissando.model.grid import Grid, Index, points_of
 from glissando.model.priors.prior import Prior
 from glissando.model.priors.static import STATIC_DOF
 from glissando.model.priors.transitions import symmetrize
@@ -66,44 +65,36 @@ class StaticPosterior(ShortRepr):
         Raises:
             OutsideGridError: A point is off the grid.
         """
-        s, k = np.broadcast_arrays(
-            np.asarray(arclength, dtype=float), np.asarray(shape, dtype=float)
-        )
-        whole, s, k = s.shape, s.ravel(), k.ravel()
-        self.grid.require(s, k, "Query")
-        require_whole(k, "Query")
-        pose, strain = np.empty((s.size, 4, 4)), np.empty((s.size, 6))
-        cov = np.zeros((s.size, DOF, DOF))
-        for points in sort_points(self.grid, s, k):
-            at = self.prior.interpolate(self.grid, self.state, self.state, points)
-            pose[points.rows], strain[points.rows] = at.state.pose, at.state.strain
-            slopes, left = at.jacobian[:, _DOFS], at.cov[:, _DOFS, _DOFS]
-            cov[points.rows, _DOFS, _DOFS] = self._spread(at.nodes, slopes, left)
-        arrays = (pose, strain, np.zeros_like(strain), cov)
-        return StateEstimate(*(a.reshape(*whole, *a.shape[1:]) for a in arrays))
+        s, k = self._queried(arclength, shape)
+        return state_at(self.prior, self.grid, self.state, self._spread_of_states, s, k)
 
     def wrench(
         self, arclength: ArrayLike, shape: ArrayLike, *, frame: str = "body"
     ) -> WrenchEstimate:
         """Internal wrench at points of shapes, as `Posterior.wrench` of moments."""
-        require_mechanics(self.prior, frame)
-        at = self.at(arclength, shape)
-        s = np.broadcast_arrays(np.asarray(arclength, dtype=float), shape)[0]
-        return internal_wrench(self.prior, s, at.pose, at.strain, at.cov, frame)
+        prior = require_mechanics(self.prior, frame)
+        return internal_wrench(prior, arclength, self.at(arclength, shape), frame)
 
     def load(
         self, arclength: ArrayLike, shape: ArrayLike, *, frame: str = "body"
     ) -> WrenchEstimate:
         """The unknown wrench at the tip or at one of the prior's `points`, as `Posterior.load`."""
-        s, k = np.broadcast_arrays(
-            np.asarray(arclength, dtype=float), np.asarray(shape, dtype=float)
-        )
+        s, k = self._queried(arclength, shape)
+        which = k.astype(np.intp)
+        return point_loads(self.prior, self.grid, self.state, self._spread, s, which, frame)
+
+    def _queried(self, arclength: ArrayLike, shape: ArrayLike) -> tuple[Array, Array]:
+        """Places and numbers of shapes of a query, which broadcast and are on the grid."""
+        s, k = points_of(arclength, shape)
         self.grid.require(s.ravel(), k.ravel(), "Query")
         require_whole(k.ravel(), "Query")
-        prior, grid, which = self.prior, self.grid, k.ravel().astype(np.intp)
-        load = point_loads(prior, grid, self.state, self._spread, s.ravel(), which, frame)
-        wrench, cov = load.wrench.reshape(*s.shape, 6), load.cov.reshape(*s.shape, 6, 6)
-        return WrenchEstimate(wrench, cov, frame)
+        return s, k
+
+    def _spread_of_states(self, nodes: Index, slopes: Array, left: Array) -> Array:
+        """Covariance (M, 18, 18) of states, whose velocity is sure."""
+        cov = np.zeros((len(nodes), DOF, DOF))
+        cov[:, _DOFS, _DOFS] = self._spread(nodes, slopes[:, _DOFS], left[:, _DOFS, _DOFS])
+        return cov
 
     def _spread(self, nodes: Index, slopes: Array, left: Array) -> Array:
         """Covariance (M, r, r) by slopes (M, r, c, ·) of a node, or of it and the next (M, c)."""
