@@ -237,9 +237,7 @@ def _tubes(table: Table) -> dict[str, Any]:
 
 def _sections(table: Table) -> dict[str, Any]:
     """Segments that state their stiffness."""
-    joints = table.numbers("joints") if table.peek("joints") is not None else np.zeros(0)
-    if np.any(np.diff(joints, prepend=0.0) <= 0.0):
-        raise table.fail("joints", "must increase from above 0.")
+    joints = table.places("joints")
     rows = table.peek("stiffness")
     several = isinstance(rows, list) and bool(rows) and isinstance(rows[0], list)
     if several or joints.size:

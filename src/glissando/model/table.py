@@ -172,6 +172,13 @@ class Table:
             raise self.fail(key, f"is {_shown(value)}; give a list of numbers.")
         return self.vector(key, len(value), pairs=False)
 
+    def places(self, key: str) -> Array:
+        """Arclengths that increase from above 0; none where there is no such key."""
+        places = np.zeros(0) if self.peek(key) is None else self.numbers(key)
+        if np.any(np.diff(places, prepend=0.0) <= 0.0):
+            raise self.fail(key, "must increase from above 0.")
+        return places
+
     def rows(
         self, key: str, count: int, size: int, *, positive: bool = True, signed: bool = False
     ) -> Array:

@@ -18,11 +18,9 @@ def read_segments(prior: Table, jumps: str) -> dict[str, Array]:
         prior: The [prior] table.
         jumps: Key of the jumps at the joints.
     """
-    if prior.peek("joints") is None:
+    joints = prior.places("joints")
+    if not joints.size:
         return {"psd_strain_arclength": prior.vector("psd_strain_arclength", 6, positive=True)}
-    joints = prior.numbers("joints")
-    if np.any(np.diff(joints, prepend=0.0) <= 0.0):
-        raise prior.fail("joints", "must increase from above 0.")
     psd = prior.rows("psd_strain_arclength", joints.size + 1, 6)
     strain_jumps = prior.rows(jumps, joints.size, 6, positive=False)
     return {"psd_strain_arclength": psd, "joints": joints, "jumps": strain_jumps}

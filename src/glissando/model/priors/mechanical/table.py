@@ -20,10 +20,8 @@ def read_fields(prior: Table, robot: Table) -> dict[str, Any]:
     names = ("psd_load", "psd_strain_error", "var_tip")
     fields = {name: prior.vector(name, 6, positive=True) for name in names}
     fields |= read_rest(robot, len(mechanics.stiffness))
-    if prior.peek("points") is not None:
-        points = prior.numbers("points")
-        if np.any(np.diff(points, prepend=0.0) <= 0.0):
-            raise prior.fail("points", "must increase from above 0.")
+    points = prior.places("points")
+    if points.size:
         fields |= {"points": points, "var_points": prior.rows("var_points", points.size, 6)}
     base = robot.subtable("base")
     fields |= {"base_pose": base.pose(), "var_base": base.vector("var_pose", 6, positive=True)}
