@@ -22,8 +22,13 @@ from glissando.estimation.contact_evidence import (
     force_evidence,
     seen_times,
 )
-from glissando.estimation.contact_force import force_at, knows_forces, nearest_nodes
-from glissando.estimation.contact_wrench import Wrench, wrench_at
+from glissando.estimation.contact_force import (
+    Wrench,
+    force_at,
+    knows_forces,
+    nearest_nodes,
+    wrench_at,
+)
 from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.transported import has_rolled
