@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from glissando import BaseVariance, FixedLagSmoother, Grid, PoseReadings, SeparablePrior
-from glissando.estimation.delay_counting import DelayCounting
+from glissando.estimation.delay_dating import DelayCounting
 from glissando.geometry import se3
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
