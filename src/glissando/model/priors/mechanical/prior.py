@@ -34,11 +34,10 @@ from glissando.model.priors.mechanical.intervals import (
     interval_error,
     still_error,
 )
-from glissando.model.priors.mechanical.linearized_rods import LinearizedRods
 from glissando.model.priors.mechanical.modal_acceleration import modal_acceleration
 from glissando.model.priors.mechanical.point_load import PointLoad, point_load
 from glissando.model.priors.mechanical.rod import LoadedRod
-from glissando.model.priors.mechanical.section import hanging_rod
+from glissando.model.priors.mechanical.section import LinearizedRods, hanging_rod
 from glissando.model.priors.mechanical.table import read_fields
 from glissando.model.priors.rest_shape import STRAIGHT, RestShape
 from glissando.model.priors.static import STATIC_DOF
