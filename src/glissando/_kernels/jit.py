@@ -35,7 +35,7 @@ _KERNELS: list[Kernel] = []
 _LOCK = threading.RLock()
 _NOTICE, _AGAIN = 1.0, 5.0  # seconds of compiling until a person reads why, and between lines
 _PROCESSES = 4  # that compile at once, at most
-_KEPT = 4  # folders of what other versions and copies compiled
+_KEPT = 8  # folders of what other versions and copies compiled
 
 
 class Kernel:
