@@ -73,13 +73,14 @@ def test_processes_that_compile_know_the_kernels_of_every_module():
 
 def test_what_an_upgrade_leaves_behind_is_never_met(tmp_path, monkeypatch):
     monkeypatch.setenv("GLISSANDO_CACHE", str(tmp_path))
-    folders = [cache_folder(version) for version in ("1", "2", "3", "4", "5", "6")]
-    assert len(set(folders)) == 6
-    assert [folder.is_dir() for folder in folders] == [False] + 5 * [True]
-    cache_folder("2")
-    cache_folder("7")
-    assert [folder.is_dir() for folder in folders] == [False, True, False] + 3 * [True]
-    assert folders[0] != cache_folder("1.1")
+    kept = jit._KEPT + 1  # others, and the newest
+    folders = [cache_folder(str(version)) for version in range(kept + 1)]
+    assert len(set(folders)) == kept + 1
+    assert [folder.is_dir() for folder in folders] == [False] + kept * [True]
+    cache_folder("1")
+    cache_folder("new")
+    assert [folder.is_dir() for folder in folders] == [False, True, False] + (kept - 2) * [True]
+    assert folders[0] != cache_folder("0.1")
 
 
 def test_what_another_copy_compiled_is_never_met(tmp_path, monkeypatch):
