@@ -169,3 +169,25 @@ def test_inputs_that_cannot_be_are_one_sentence():
             equilibrium(rod, **given)
     with pytest.raises(NoShapeError, match="row 0"):
         equilibrium(rod, tension=np.full((1, 6), 1e6))
+
+
+def test_of_many_rows_each_is_computed_as_alone_and_one_without_a_shape_is_numbered():
+    """They are computed some at a time, so that memory does not grow by a megabyte each."""
+    rod, rng = tendon_rod(tendon_robot(psd_moment=1e-7, std=1e-4)), np.random.default_rng(5)
+    pulled = pulls(rng, 230)
+    many = equilibrium(rod, displacement=pulled)
+    in_play = 1e-4 * rng.uniform(size=pulled.shape)
+    cov = many.cov(in_play)
+    for k in (0, 99, 100, 229):
+        alone = equilibrium(rod, displacement=pulled[k : k + 1])
+        np.testing.assert_allclose(many.strain[k], alone.strain[0], atol=1e-9)
+        np.testing.assert_allclose(many.pose()[k], alone.pose()[0], atol=1e-9)
+        np.testing.assert_allclose(cov[k], alone.cov(in_play[k : k + 1])[0], rtol=1e-6, atol=1e-14)
+    rest = rod.rest + 0.1 * rng.standard_normal((230, *rod.rest.shape))  # each shape its own
+    own = equilibrium(replace(rod, rest=rest), displacement=pulled)
+    alone = equilibrium(replace(rod, rest=rest[150]), displacement=pulled[150:151])
+    np.testing.assert_allclose(own.strain[150], alone.strain[0], atol=1e-9)
+    np.testing.assert_allclose(own.cov(in_play)[150], alone.cov(in_play[150])[0], rtol=1e-6)
+    pulled[217, 0] = 0.19
+    with pytest.raises(NoShapeError, match="row 217"):
+        equilibrium(rod, displacement=pulled)

@@ -59,7 +59,9 @@ def predict(
         raise GlissandoError(
             f"Arclengths up to {places.max():g} m leave a robot of {robot.length:g} m; ask on it."
         )
-    if len(time) > 1 and not np.all(np.diff(time) > 0.0):
+    if not len(time):
+        raise GlissandoError("There are no commands of tendons; give a row for a time at least.")
+    if not np.all(np.diff(time) > 0.0):
         raise GlissandoError("Times of the tendons must increase; sort the rows.")
     rod = tendon_rod(robot, places)
     wanted = time.size, len(rod.tendons)

@@ -11,7 +11,7 @@ numbers a shape. Source: (M5) to (M7); Rucker and Webster 2011 without external 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,6 +26,7 @@ from glissando.model.tendons.tendon_rod import TendonRod
 _ITERATIONS = 60
 _CLOSE = 1e-9  # of a step of all pieces together, rad and relative stretch
 _LONGEST = 0.5  # rad that a step may turn a piece by
+_SHAPES = 100  # that are computed at a time, as the covariance of each takes a megabyte
 
 
 @dataclass(frozen=True)
@@ -176,10 +177,23 @@ class Equilibrium:
         Args:
             in_play: Standard deviations (M, T) by which displacements are off besides, m.
         """
-        tendons, (m, count) = self.rod.tendons, self.strain.shape[:2]
-        root = np.sqrt(tendons.psd_moment)
-        off = np.atleast_2d(np.hypot(tendons.std, in_play))[:, None, None]
-        by_pull = off * self.strain_by_displacement()
+        off = np.broadcast_to(np.hypot(self.rod.tendons.std, in_play), self.tension.shape)
+        every = (slice(k, k + _SHAPES) for k in range(0, len(off), _SHAPES))
+        return np.concatenate([self._take(rows)._cov(off[rows]) for rows in every])
+
+    def arrays(self) -> list[Array]:
+        """What there is of each shape, in the order of the fields."""
+        return [getattr(self, field.name) for field in fields(self)[1:]]
+
+    def _take(self, rows: slice) -> Equilibrium:
+        """Some of the shapes."""
+        return Equilibrium(self.rod.take(rows), *(array[rows] for array in self.arrays()))
+
+    def _cov(self, off: Array) -> Array:
+        """That covariance, where displacements are off by standard deviations (M, T) in all."""
+        m, count = self.strain.shape[:2]
+        root = np.sqrt(self.rod.tendons.psd_moment)
+        by_pull = off[:, None, None] * self.strain_by_displacement()
         by_moment = root * self._mean_by_moment
         by_base = [np.broadcast_to(np.diag(np.sqrt(self.rod.var_base)), (m, 6, 6))]
         for across in self._steps()[0].swapaxes(0, 1):
@@ -217,17 +231,29 @@ def equilibrium(
         GlissandoError: Neither or both are given, a number is missing, or a tension is negative.
         NoShapeError: No equilibrium was found.
     """
-    given = _checked_inputs(rod, displacement, tension)
-    strain = np.broadcast_to(rod.rest, (len(given), *rod.rest.shape)).copy()
-    strain = strain if start is None else start.copy()
+    given, found = _checked_inputs(rod, displacement, tension), []
+    if start is None:
+        start = np.broadcast_to(rod.rest, (len(given), *rod.rest.shape[-2:]))
+    for first in range(0, len(given), _SHAPES):
+        rows = slice(first, first + _SHAPES)
+        part = rod.take(rows), given[rows], start[rows], first
+        found.append(_solved(*part, tensions=displacement is None))
+    joined = zip(*(each.arrays() for each in found), strict=True)
+    return Equilibrium(rod, *(np.concatenate(parts) for parts in joined))
+
+
+def _solved(
+    rod: TendonRod, given: Array, strain: Array, first: int, *, tensions: bool
+) -> Equilibrium:
+    """The shapes of rows from the `first` on, by Newton's method from strains (M, P, 6)."""
     for _ in range(_ITERATIONS):
-        here, residual = _linearize(rod, strain, given, displacement is None)
+        here, residual = _linearize(rod, strain, given, tensions)
         step = here.strain_by(residual[..., None], here.slope)[..., 0]  # Newton's, to be taken off
         turned = np.abs(step * rod.length[:, None]).max(axis=(1, 2), keepdims=True)
         strain = strain - step * np.minimum(1.0, _LONGEST / np.maximum(turned, 1e-300))
         if turned.max() < _CLOSE:
             return replace(here, strain=strain)
-    worst = int(np.argmax(turned.ravel()))
+    worst = first + int(np.argmax(turned.ravel()))
     raise NoShapeError(
         f"No static shape was found for row {worst} of the tendons; is the rod buckling, or is a "
         f"displacement in millimetres?"

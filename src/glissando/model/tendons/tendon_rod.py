@@ -26,7 +26,7 @@ class TendonRod:
         tendons: The tendons.
         nodes: Arclengths (P+1,) where pieces meet, m.
         stiffness: Of each piece (P, 6).
-        rest: Strain of each without loads (P, 6).
+        rest: Strain of each without loads (P, 6), or (M, P, 6) if each of M shapes has its own.
         base: Pose of the base (4, 4).
         var_base: Variance (6,) of the base's pose about that.
     """
@@ -42,6 +42,10 @@ class TendonRod:
     def length(self) -> Array:
         """Lengths (P,) of the pieces, m."""
         return np.diff(self.nodes)
+
+    def take(self, rows: slice) -> TendonRod:
+        """The rod of some of the shapes."""
+        return self if self.rest.ndim < 3 else replace(self, rest=self.rest[rows])
 
     @cached_property
     def middle(self) -> Array:
