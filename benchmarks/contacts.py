@@ -17,7 +17,8 @@ import numpy as np
 from scipy.stats import binomtest
 
 from glissando import CoilReadings, FalseConfidenceWarning, Grid, NotConvergedWarning, estimate
-from glissando.estimation.contact import locate_contact, scan_contacts
+from glissando.estimation.contact import scan_contacts
+from glissando.estimation.contact_place import locate_contact
 from glissando.geometry import se3
 from glissando.io.shipped_robots import robot_file
 from glissando.model.mechanics import Mechanics

@@ -8,8 +8,9 @@ from scipy.stats import chi2
 
 from glissando import CoilReadings, FixedLagSmoother, Grid, SolverOptions, estimate
 from glissando.errors import GlissandoError, OutsideGridError
-from glissando.estimation.contact import ContactScan, locate_contact, scan_contacts, scan_of
+from glissando.estimation.contact import ContactScan, scan_contacts, scan_of
 from glissando.estimation.contact_evidence import error_priors
+from glissando.estimation.contact_place import locate_contact
 from glissando.geometry import se3
 from glissando.model.mechanics import Mechanics
 from glissando.model.priors.mechanical.intervals import still_columns, still_error

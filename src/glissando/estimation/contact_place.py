@@ -1,0 +1,135 @@
+"""Where a force touches the robot: its place found exactly, the whole rod bent anew at every step.
+
+Source: equation (29).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from glissando.errors import OutsideGridError, UnobservableError
+from glissando.estimation.batch import estimate
+from glissando.estimation.contact import force_variance
+from glissando.estimation.contact_force import Wrench, wrench_at
+from glissando.estimation.posterior import Posterior
+from glissando.geometry.se3 import Array
+from glissando.model.grid import Grid, with_places
+from glissando.model.priors.mechanical.prior import MechanicalPrior
+from glissando.model.sensors.readings import Readings
+
+_ROUNDS = 8
+_MISFIT = 5.0  # standard deviations of readings' misfit beyond which a search begins elsewhere
+_WORSE = 1.0  # by which the cost may grow on the way: a moment stands for a place that is off
+_STARTS = (0.15, 0.4, 0.65, 0.9)  # of the length
+_LEVER = 0.1  # of the length, by which a place may be wrong while it is sought
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A force on the robot.
+
+    Attributes:
+        arclength: Where, m.
+        std_arclength: Its standard deviation, m.
+        force: Force (3,), N, in the world frame.
+        cov_force: Its covariance (3, 3), the place being where it is.
+        posterior: The posterior with this force, and a moment that stands for its place.
+    """
+
+    arclength: float
+    std_arclength: float
+    force: Array
+    cov_force: Array
+    posterior: Posterior
+
+
+def locate_contact(
+    prior: MechanicalPrior,
+    grid: Grid,
+    readings: Sequence[Readings],
+    *,
+    start: float,
+    std_force: ArrayLike | None = None,
+) -> Contact:
+    """The place of one force and the force, with the whole rod bent anew at every step.
+
+    A force moved by Δs makes the moment Δs t × f where it was, so Gauss–Newton moves it.
+
+    Args:
+        prior: The prior, without the contact.
+        grid: Nodes; the time is the last.
+        readings: Readings of each sensor.
+        start: Where the search begins, m, as from a scan.
+        std_force: How large a force may be, N, as of `scan_contacts`.
+
+    Raises:
+        OutsideGridError: The start is not on the robot.
+    """
+    length = float(grid.arclength[-1])
+    if not 0.0 < start <= length:
+        raise OutsideGridError(
+            f"A contact at {start:g} m is off the robot of {length:g} m; give metres."
+        )
+    of_force = force_variance(prior, grid.arclength, std_force)
+    of_moment = np.full(3, (_LEVER * length) ** 2 * of_force.max())
+    variance = np.concatenate([of_force, of_moment])
+    count = sum(len(r) * r.row_count for r in readings)
+    best, reach = _touched_at(prior, grid, readings, start, variance), 0.15 * length
+    if 2.0 * best.posterior.solve.cost > count + _MISFIT * np.sqrt(2.0 * count):
+        for share in _STARTS:
+            with suppress(UnobservableError):  # so far off that rounding decides
+                other = _touched_at(prior, grid, readings, share * length, variance)
+                best = min(best, other, key=lambda touched: touched.posterior.solve.cost)
+    for _ in range(_ROUNDS):
+        if abs(best.move) < 0.1 * best.std + 1e-4 * length:
+            break
+        place = best.place + float(np.clip(best.move, -reach, reach))
+        other = _touched_at(prior, grid, readings, place, variance, best.posterior)
+        reach = 0.5 * abs(other.place - best.place)
+        if reach < 1e-4 * length:
+            break
+        if other.posterior.solve.cost < best.posterior.solve.cost + _WORSE:
+            best, reach = other, max(reach, 0.5 * abs(best.move))
+    return Contact(*best.wrench.over_places(best.place, length), best.posterior)
+
+
+@dataclass(frozen=True)
+class _Touched:
+    """A load tried at a place: what readings say of it, how far beyond it a force would act."""
+
+    posterior: Posterior
+    place: float
+    wrench: Wrench
+    move: float
+    std: float
+
+
+def _touched_at(
+    prior: MechanicalPrior,
+    grid: Grid,
+    readings: Sequence[Readings],
+    place: float,
+    variance: Array,
+    near_by: Posterior | None = None,
+) -> _Touched:
+    """The posterior with a load of this `variance` (6,) at a place, from one of a place near by."""
+    length, near = float(grid.arclength[-1]), 0.25 * float(np.diff(grid.arclength).min())
+    place = float(np.clip(place, near, length - near))
+    others = grid.arclength[np.abs(grid.arclength - place) > near]
+    others = with_places(np.append(others, place), np.append(prior.joints, [0.0, length]))
+    finer = Grid(others, grid.time, grid.before)
+    order = np.argsort(np.append(prior.points, place))
+    touched = replace(
+        prior,
+        points=np.append(prior.points, place)[order],
+        var_points=np.concatenate([prior.var_points, variance[None]])[order],
+    )
+    start = None if near_by is None else near_by.states_on(finer)
+    posterior = estimate(touched, finer, readings, initial=start)
+    wrench = wrench_at(posterior, place, variance)
+    return _Touched(posterior, place, wrench, *wrench.beyond(length))
