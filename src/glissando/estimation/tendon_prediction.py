@@ -16,7 +16,8 @@ from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot
 from glissando.model.state import DOF
-from glissando.model.tendons.statics import Equilibrium, equilibrium
+from glissando.model.tendons.equilibrium import Equilibrium
+from glissando.model.tendons.statics import equilibrium
 from glissando.model.tendons.tendon_rod import TendonRod, mechanical, replicated, tendon_rod
 from glissando.model.tendons.tendons import Tendons
 

@@ -20,7 +20,7 @@ from glissando.errors import RecordingError
 from glissando.geometry.se3 import Array
 from glissando.model.quantiles import chi_square_quantile
 from glissando.model.robot import Robot
-from glissando.model.tendons.statics import Equilibrium
+from glissando.model.tendons.equilibrium import Equilibrium
 
 _TAILS = 4.0  # degrees of freedom of Student's t: tendons slip and are set anew
 _SCALE = 0.02  # of the robot's length: standard deviation of errors while numbers are learned

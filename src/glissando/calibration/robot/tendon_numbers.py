@@ -14,8 +14,9 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.tendons.equilibrium import Equilibrium
 from glissando.model.tendons.replicate import TIP
-from glissando.model.tendons.statics import Equilibrium, equilibrium, misfit
+from glissando.model.tendons.statics import equilibrium, misfit
 from glissando.model.tendons.tendon_rod import TendonRod, mechanical, replicate_of, tendon_rod
 from glissando.model.tendons.tendons import Tendons
 

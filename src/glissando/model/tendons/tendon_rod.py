@@ -9,8 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from glissando.errors import GlissandoError
+from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.priors.mechanical.prior import MechanicalPrior
+from glissando.model.priors.rest_shape import STRAIGHT
 from glissando.model.robot import Robot
 from glissando.model.tendons.replicate import EACH, TIP, Replicate
 from glissando.model.tendons.tendons import Tendons
@@ -56,6 +58,29 @@ class TendonRod:
     def path(self) -> tuple[Array, Array]:
         """Places (T, P, 3) of the tendons in the middles of the pieces, and their slopes."""
         return self.tendons.path(self.middle)
+
+    @cached_property
+    def levers(self) -> Array:
+        """∂tangent/∂strain (T, P, 3, 6) of the channels."""
+        place = self.path[0]
+        still = np.broadcast_to(np.eye(3), (*place.shape, 3))
+        return np.concatenate([still, -se3.hat3(place)], -1)
+
+    def reaches(self, strain: Array) -> tuple[Array, Array, Array, Array]:
+        """∂|tangent|/∂strain (M, T, P, 6), unit tangents, their lengths, and where tendons are."""
+        place, slope = self.path
+        tangent = strain[:, None, :, :3] + np.cross(strain[:, None, :, 3:], place) + slope
+        speed = np.linalg.norm(tangent, axis=-1)
+        unit = tangent / speed[..., None]
+        arm = np.cross(np.broadcast_to(place, unit.shape), unit)
+        inside = (self.middle < self.tendons.end[:, None]).astype(float)
+        return np.concatenate([unit, arm], axis=-1), unit, speed, inside
+
+    def shortening(self, speed: Array) -> Array:
+        """How much shorter (M, T) channels of tangents so long (M, T, P) are than straight, m."""
+        inside = self.length * (self.middle < self.tendons.end[:, None])
+        straight = np.linalg.norm(STRAIGHT[:3] + self.path[1], axis=-1)
+        return np.sum(inside * (straight - speed), axis=-1)
 
 
 def mechanical(robot: Robot) -> MechanicalPrior:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from glissando.geometry.se3 import Array
-from glissando.model.tendons.statics import Equilibrium, levers, reaches
+from glissando.model.tendons.equilibrium import Equilibrium
 from glissando.model.tendons.tendon_rod import TendonRod
 
 
@@ -33,7 +33,7 @@ def back_to_displacement(
     back = balance.strain_by(by_slope / length[:, None, None], balance.slope)
     reach = length[:, None] * balance.reach  # of z = stretch by strain
     along, along_back = (np.einsum("ktpi,...kpiq->...ktq", reach, x) for x in (by_error, back))
-    arm, (_, unit, speed, inside) = levers(rod), reaches(rod, balance.strain)
+    arm, (_, unit, speed, inside) = rod.levers, rod.reaches(balance.strain)
     bend, bend_back = (arm @ x[..., None, :, :, :] for x in (by_error, back))
     unit_parts = [unit[..., None, :] @ x for x in (bend, bend_back)]
     flat = [x - unit[..., None] * part

@@ -20,7 +20,8 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 from glissando.model.robot import Robot
-from glissando.model.tendons.statics import Equilibrium, equilibrium
+from glissando.model.tendons.equilibrium import Equilibrium
+from glissando.model.tendons.statics import equilibrium
 from glissando.model.tendons.tendon_rod import TendonRod, tendon_rod
 from glissando.planning.scene.equilibrium_slopes import back_to_displacement
 

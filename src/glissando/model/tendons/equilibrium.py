@@ -1,0 +1,202 @@
+"""Shapes of a tendon rod in equilibrium, and how they depend on what pulls and bends it.
+
+Source: (M6) and (M7), the manipulator's Jacobians with what friction takes of the tensions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import numpy as np
+
+from glissando.geometry import se3
+from glissando.geometry.se3 import Array
+from glissando.model.tendons.friction import wrench_by_strain
+from glissando.model.tendons.tendon_rod import TendonRod
+
+SHAPES = 100
+"""Shapes that are computed at a time, as the covariance of each takes a megabyte."""
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """M shapes of a tendon rod in equilibrium.
+
+    Attributes:
+        rod: The rod.
+        strain: Strain (M, P, 6) of the pieces.
+        tension: Tensions (M, T) at the base, N.
+        compliance: ∂strain/∂(wrench on the section) (M, P, 6, 6) at fixed tensions.
+        pull: ∂(wrench of the tendons)/∂tension (M, P, 6, T).
+        reach: ∂(length of the channel)/∂strain (M, T, P, 6) for a length of backbone.
+        slope: ∂tension/∂stretch (M, T), N/m; zero where tensions are the inputs.
+    """
+
+    rod: TendonRod
+    strain: Array
+    tension: Array
+    compliance: Array
+    pull: Array
+    reach: Array
+    slope: Array
+
+    def pose(self) -> Array:
+        """Poses (M, P+1, 4, 4) where pieces meet."""
+        steps = se3.exp(self.rod.length[:, None] * self.strain)
+        out = [np.broadcast_to(self.rod.base, (len(self.strain), 4, 4))]
+        for piece in range(steps.shape[1]):
+            out.append(out[-1] @ steps[:, piece])
+        return np.stack(out, axis=1)
+
+    def strain_by_tension(self) -> Array:
+        """∂strain/∂tension (M, P, 6, T), tensions being the inputs."""
+        return self._rubbing(-self.compliance @ self.pull, np.zeros_like(self.slope))
+
+    def strain_by_displacement(self) -> Array:
+        """∂strain/∂displacement (M, P, 6, T), displacements being the inputs."""
+        by_stretch = self.pull_response * self.slope[:, None]
+        return self._rubbing(-self.compliance @ (self.pull @ by_stretch[:, None]), self.slope)
+
+    @cached_property
+    def pull_response(self) -> Array:
+        """∂tension/∂(what a tendon would pull with) (M, T, T), as the rod and tendons yield."""
+        m, t = self.slope.shape
+        weighted = (self.rod.length[:, None] * self.reach).reshape(m, t, -1)
+        give = weighted @ (self.compliance @ self.pull).reshape(m, -1, t)
+        return np.asarray(np.linalg.inv(np.eye(t) + self.slope[..., None] * give))
+
+    def wrench_by(self, strain_slope: Array) -> Array:
+        """Slope (M, P, 6, ·) of the rod's own wrench K (ε − ε*) from that of the strain."""
+        return self.rod.stiffness[:, :, None] * strain_slope
+
+    def pose_by(self, strain_slope: Array) -> Array:
+        """Slope (M, P+1, 6, ·) of the poses, perturbed on the right, from that of the strain.
+
+        δ₊ = Ad(exp(−h ε)) δ + h J_r(h ε) δε over a piece of length h. Source: (M7).
+        """
+        across, along = self._steps()
+        out = [np.zeros((len(self.strain), 6, strain_slope.shape[-1]))]
+        for piece in range(across.shape[1]):
+            out.append(across[:, piece] @ out[-1] + along[:, piece] @ strain_slope[:, piece])
+        return np.stack(out, axis=1)
+
+    def strain_by_moment(self) -> Array:
+        """∂strain/∂(bending moment on each piece) (M, P, 6, 2 P), displacements being the inputs.
+
+        A moment bends its own piece, and through the tendons' stretch all that they pass.
+        """
+        m, count = self.strain.shape[:2]
+        own = np.zeros((m, count, 6, 2 * count))
+        for piece in range(count):
+            own[:, piece, 3:5, 2 * piece : 2 * piece + 2] = np.eye(2)
+        return self._rubbing(self.strain_by(own, self.slope), self.slope)
+
+    def strain_by(self, wrench: Array, slope: Array) -> Array:
+        """Strains (…, M, P, 6, q) by wrenches on sections, at what friction leaves of tensions.
+
+        Args:
+            wrench: Wrenches (…, M, P, 6, q).
+            slope: Slopes (M, T) of the tendons' tensions by their stretch.
+        """
+        free = self.compliance @ wrench
+        if not slope.any():
+            return free
+        weighted = (self.rod.length[:, None] * self.reach).reshape(*slope.shape, -1)
+        short = weighted @ free.reshape(*free.shape[:-3], -1, free.shape[-1])
+        back = self.pull_response @ (slope[..., None] * short)
+        return np.asarray(free - self.compliance @ (self.pull @ back[..., None, :, :]))
+
+    def _rubbing(self, slope: Array, stiffness: Array) -> Array:
+        """Slopes (M, P, 6, ·) of strain with those of what friction leaves of the tensions.
+
+        With (A + F) S = B and A S₀ = B, S = (1 + A⁻¹ F)⁻¹ S₀; F is how friction goes with strain.
+        """
+        rod, friction = self.rod, self.rod.tendons.friction
+        if not friction.any():
+            return slope
+        m, count = self.strain.shape[:2]
+        _, unit, speed, _ = rod.reaches(self.strain)
+        force = self.tension[..., None, None] * self.pull.transpose(0, 3, 1, 2)
+        channels = friction, rod.length, rod.path[0]
+        eased = wrench_by_strain(*channels, self.strain, unit, speed, force)
+        back = self.strain_by(eased.reshape(m, count, 6, -1), stiffness)
+        whole = np.eye(6 * count) + back.reshape(m, 6 * count, -1)
+        rubbed = np.linalg.solve(whole, slope.reshape(m, 6 * count, -1))
+        return np.asarray(rubbed.reshape(slope.shape))
+
+    def responses(self) -> tuple[Array, Array]:
+        """Slopes (M, P, 6, ·) of strain by what wrenches and tensions are off by.
+
+        The misfit of the balance in each number of the sections' wrenches (6 P), and that of each
+        tension (T) by its stretch, friction and all.
+        """
+        m, count = self.strain.shape[:2]
+        each = np.eye(6 * count).reshape(count, 6, 6 * count)
+        each = np.broadcast_to(each, (m, *each.shape))
+        by_tension = -self.compliance @ (self.pull @ self.pull_response[:, None])
+        return (
+            -self._rubbing(self.strain_by(each, self.slope), self.slope),
+            self._rubbing(by_tension, self.slope),
+        )
+
+    @cached_property
+    def _mean_by_moment(self) -> Array:
+        """Slopes (M, P, 6, 2 P) of the strain by white bending moments of unit density."""
+        return self.strain_by_moment() / np.sqrt(np.repeat(self.rod.length, 2))
+
+    def pose_by_moment(self) -> Array:
+        """Slopes (M, P+1, 6, 4 P) of the poses by white bending moments of unit density.
+
+        By their means over the pieces, and by their first moments about the middles of these, which
+        move a piece's end aside: the covariance does not depend on the pieces.
+        """
+        mean, length = self._mean_by_moment, self.rod.length
+        aside = np.zeros_like(mean)
+        by_lever = np.sqrt(length / 12.0)[:, None] / self.rod.stiffness[:, [4, 3]]
+        for piece in range(length.size):
+            aside[:, piece, :2, 2 * piece : 2 * piece + 2] = np.diag(by_lever[piece])
+        return self.pose_by(np.concatenate([mean, aside], axis=-1))
+
+    def cov(self, in_play: Array | float = 0.0) -> Array:
+        """Covariance (M, P+1, 12, 12) of poses and strains that [tendons] and [base] state.
+
+        Displacements differ from the commands, moments are missing along the robot, and the base
+        stands about its pose. The strain of a node is that of the piece before it.
+
+        Args:
+            in_play: Standard deviations (M, T) by which displacements are off besides, m.
+        """
+        off = np.broadcast_to(np.hypot(self.rod.tendons.std, in_play), self.tension.shape)
+        every = (slice(k, k + SHAPES) for k in range(0, len(off), SHAPES))
+        return np.concatenate([self._take(rows)._cov(off[rows]) for rows in every])
+
+    def arrays(self) -> list[Array]:
+        """What there is of each shape, in the order of the fields."""
+        return [getattr(self, field.name) for field in fields(self)[1:]]
+
+    def _take(self, rows: slice) -> Equilibrium:
+        """Some of the shapes."""
+        return Equilibrium(self.rod.take(rows), *(array[rows] for array in self.arrays()))
+
+    def _cov(self, off: Array) -> Array:
+        """That covariance, where displacements are off by standard deviations (M, T) in all."""
+        m, count = self.strain.shape[:2]
+        root = np.sqrt(self.rod.tendons.psd_moment)
+        by_pull = off[:, None, None] * self.strain_by_displacement()
+        by_moment = root * self._mean_by_moment
+        by_base = [np.broadcast_to(np.diag(np.sqrt(self.rod.var_base)), (m, 6, 6))]
+        for across in self._steps()[0].swapaxes(0, 1):
+            by_base.append(across @ by_base[-1])
+        poses = [self.pose_by(by_pull), root * self.pose_by_moment(), np.stack(by_base, axis=1)]
+        nothing = np.zeros((m, count, 6, 2 * count + 6))
+        by_strain = np.concatenate([by_pull, by_moment, nothing], axis=-1)
+        before = np.maximum(np.arange(count + 1) - 1, 0)
+        both = np.concatenate([np.concatenate(poses, axis=-1), by_strain[:, before]], axis=2)
+        return np.asarray(both @ np.swapaxes(both, -1, -2))
+
+    def _steps(self) -> tuple[Array, Array]:
+        """Ad(exp(−h ε)) and h J_r(h ε), each (M, P, 6, 6)."""
+        turned = self.rod.length[:, None] * self.strain
+        along = self.rod.length[:, None, None] * se3.right_jacobian(turned)
+        return se3.adjoint(se3.exp(-turned)), along
