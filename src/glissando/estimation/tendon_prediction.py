@@ -53,6 +53,27 @@ def predict(
         FalseConfidenceWarning: The robot's weight, which is left out, bends it noticeably, or a
             tendon is pulled farther than where its numbers were learned.
     """
+    rod, places, time, displacement = _checked(robot, time, displacement, arclength)
+    shape = equilibrium(rod, displacement=rod.tendons.effective(displacement))
+    node = np.searchsorted(rod.nodes, places - 1e-9)
+    cov = np.zeros((len(shape.strain), len(places), DOF, DOF))
+    of_shape = shape.cov(rod.tendons.std_in_play(displacement))
+    cov[..., : _VELOCITY.start, : _VELOCITY.start] = of_shape[:, node]
+    by_pull = shape.pose_by(shape.strain_by_displacement())[:, node]
+    velocity, cov[..., _VELOCITY, _VELOCITY] = _velocity(rod, time, displacement, by_pull)
+    cov[..., : _VELOCITY.start, : _VELOCITY.start] += _jackknife(
+        [_off(other, shape, node) for _, other in _replicates(robot, places, displacement, shape)]
+    )
+    _warn_beyond(rod.tendons, displacement)
+    prediction = StateEstimate(shape.pose()[:, node], _strain(shape, node), velocity, cov)
+    warn_of_weight(robot, float(prediction.std_position.max()))
+    return prediction
+
+
+def _checked(
+    robot: Robot, time: Array, displacement: Array, arclength: Array | None
+) -> tuple[TendonRod, Array, Array, Array]:
+    """The rod, places (N,), times (M,) and displacements (M, T), if they can be predicted from."""
     places = robot.arclength_nodes if arclength is None else np.asarray(arclength, dtype=float)
     places, time = np.atleast_1d(places), np.atleast_1d(np.asarray(time, dtype=float))
     displacement = np.atleast_2d(np.asarray(displacement, dtype=float))
@@ -71,25 +92,13 @@ def predict(
             f"Displacements have shape {displacement.shape}; give {wanted}, a row a time and a "
             f"column a tendon, all finite."
         )
-    shape = equilibrium(rod, displacement=rod.tendons.effective(displacement))
-    node = np.searchsorted(rod.nodes, places - 1e-9)
-    cov = np.zeros((len(shape.strain), len(places), DOF, DOF))
-    of_shape = shape.cov(rod.tendons.std_in_play(displacement))
-    cov[..., : _VELOCITY.start, : _VELOCITY.start] = of_shape[:, node]
-    by_pull = shape.pose_by(shape.strain_by_displacement())[:, node]
-    velocity, cov[..., _VELOCITY, _VELOCITY] = _velocity(rod, time, displacement, by_pull)
-    pose, strain = shape.pose()[:, node], _strain(shape, node)
-    off = [
-        np.concatenate(
-            [se3.log(se3.inverse(pose) @ other.pose()[:, node]), _strain(other, node) - strain], -1
-        )
-        for _, other in _replicates(robot, places, displacement, shape)
-    ]
-    cov[..., : _VELOCITY.start, : _VELOCITY.start] += _jackknife(off)
-    _warn_beyond(rod.tendons, displacement)
-    prediction = StateEstimate(pose, strain, velocity, cov)
-    warn_of_weight(robot, float(prediction.std_position.max()))
-    return prediction
+    return rod, places, time, displacement
+
+
+def _off(other: Equilibrium, shape: Equilibrium, node: NDArray[np.intp]) -> Array:
+    """How far (M, N, 12) poses and strains of a replicate are from the robot's at nodes (N,)."""
+    turned = se3.log(se3.inverse(shape.pose()[:, node]) @ other.pose()[:, node])
+    return np.concatenate([turned, _strain(other, node) - _strain(shape, node)], axis=-1)
 
 
 def _strain(shape: Equilibrium, node: NDArray[np.intp]) -> Array:
