@@ -9,8 +9,8 @@ from glissando.geometry import se3
 from glissando.hardware.simulated_devices.scene import Scene, SceneCoil
 from glissando.io.shipped_robots import robot_file
 from glissando.model.tendons.channel import Channel
-from glissando.simulation import load_bench
-from glissando.simulation.channel import poses_in, routed, straight_length
+from glissando.simulation import Tendon, load_bench
+from glissando.simulation.channel import poses_in, straight_length
 
 BENCH = load_bench(robot_file("sliding700"))
 FINE = np.linspace(0.0, BENCH.rod.length, 3001)
@@ -46,10 +46,10 @@ def expected(channel, travel, time):
 @pytest.mark.slow
 @pytest.mark.parametrize("channel", [*CHANNELS, TIGHT], ids=["straight", "winding", "tightly"])
 def test_the_coil_is_where_its_travel_along_the_channel_leads(channel):
-    rng, longest = np.random.default_rng(9), straight_length(routed(channel, 0.7), 0.7)
+    rng, longest = np.random.default_rng(9), straight_length(Tendon.in_channel(channel, 0.7), 0.7)
     time = rng.uniform(0.0, 20.0, 5)
     travel = np.append(rng.uniform(0.0, longest, 4), longest + 3e-3)
-    found = poses_in(routed(channel, 0.7), motion(), travel, time)
+    found = poses_in(Tendon.in_channel(channel, 0.7), motion(), travel, time)
     flaws, off = BENCH.flaws.without("all"), []
     for k in range(time.size):
         place, axis = expected(channel, travel[k], time[k])

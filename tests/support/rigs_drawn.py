@@ -15,7 +15,7 @@ from glissando.io.shipped_robots import robot_file
 from glissando.simulation import SlidePath, Tendon
 from glissando.simulation.actuation import Actuation
 from glissando.simulation.bench import load_bench
-from glissando.simulation.channel import routed, straight_length
+from glissando.simulation.channel import straight_length
 from glissando.simulation.tracker import coil_rows, mocap_rows
 
 DURATION, LONGER = 15.0, 45.0  # s; of a session as docs/calibration.md asks for
@@ -128,7 +128,7 @@ def drawn(
     path = path_of(sliding)
     # the simulated coil goes from the tip to the base; what the encoder says is up to the rig
     stated = RigData("", *[np.zeros(0)] * 4, {}, 0.0, 0.0, channel=channel)
-    way = routed(known.channel(stated), 0.7) if channel else None
+    way = Tendon.in_channel(known.channel(stated), 0.7) if channel else None
     where = _Displaced(path, known, straight_length(way, 0.7) if way else 0.7)
     time = np.arange(0.0, lasts, 1.0 / 40.0) + rng.uniform(0.0, 0.02)
     time = time[time < lasts]

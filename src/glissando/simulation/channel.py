@@ -7,20 +7,11 @@ from scipy.integrate import cumulative_simpson
 
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.model.tendons.channel import Channel
 from glissando.simulation.dynamics.motion import DynamicMotion
 from glissando.simulation.motion import Motion
 from glissando.simulation.rod import STRAIGHT, Tendon
 
 _FINE = 801  # places along a channel whose length is asked for
-
-
-def routed(channel: Channel, length: float) -> Tendon:
-    """The way of a stated channel through a rod of some length, m."""
-    if np.isfinite(channel.pitch):
-        return Tendon.helical(channel.radius, channel.angle, channel.pitch, length)
-    at = channel.radius * np.array([np.cos(channel.angle), np.sin(channel.angle)])
-    return Tendon(at, length)
 
 
 def straight_length(channel: Tendon, length: float) -> float:

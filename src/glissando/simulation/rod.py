@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
+from glissando.model.tendons.channel import Channel
 
 Field = Callable[[Array], Array]
 """A function of arclength (M,) in metres; its values have a row for each."""
@@ -186,6 +187,14 @@ class Tendon:
             return radius * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
 
         return Tendon(offset, end, friction)
+
+    @staticmethod
+    def in_channel(channel: Channel, end: float) -> Tendon:
+        """What runs without friction in a stated channel, from the base to `end` (m)."""
+        if np.isfinite(channel.pitch):
+            return Tendon.helical(channel.radius, channel.angle, channel.pitch, end)
+        direction = np.array([np.cos(channel.angle), np.sin(channel.angle)])
+        return Tendon(channel.radius * direction, end)
 
 
 @dataclass(frozen=True)

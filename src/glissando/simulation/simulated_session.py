@@ -17,10 +17,10 @@ from glissando.model.short_repr import ShortRepr
 from glissando.model.slide_path import SlidePath
 from glissando.model.tendons.channel import Channel
 from glissando.simulation.bench import Bench
-from glissando.simulation.channel import routed
 from glissando.simulation.dynamics.motion import DynamicMotion
 from glissando.simulation.imperfections import Imperfections
 from glissando.simulation.motion import Motion, shortening
+from glissando.simulation.rod import Tendon
 from glissando.simulation.session_truth import write_dynamics
 from glissando.simulation.tracker import coil_rows, inertial_rows, mocap_rows
 
@@ -133,7 +133,7 @@ def simulate_session(
     coil_noise, *mocap_noise, pull_noise = np.random.default_rng(seed).spawn(2 + bench.truth.size)
     time = np.arange(0.0, lasts + 1e-9, 1.0 / COIL_RATE)
     sits = bench.coil_offset, bench.tracker
-    beside = routed(channel, bench.rod.length) if channel else None
+    beside = Tendon.in_channel(channel, bench.rod.length) if channel else None
     coil = coil_rows(motion, path, time, *sits, flaws, coil_noise, beside)
     time = np.arange(0.0, lasts + 1e-9, 1.0 / MOCAP_RATE)
     mocap = {

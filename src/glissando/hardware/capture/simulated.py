@@ -19,8 +19,8 @@ from glissando.hardware.simulated_devices import started
 from glissando.hardware.simulated_devices.scene import Scene, SceneCoil
 from glissando.io.shipped_robots import robot_file
 from glissando.model.tendons.channel import Channel
-from glissando.simulation import load_bench
-from glissando.simulation.channel import routed, straight_length
+from glissando.simulation import Tendon, load_bench
+from glissando.simulation.channel import straight_length
 
 _LEAD = 0.0254  # m a revolution
 _TRIES = 5  # to start a device on a port that is free
@@ -55,7 +55,10 @@ def simulated_rig(
     times = motion.time[0] + np.linspace(0.0, span, max(1, round(span * _SCENE_RATE) + 1))
     length, way = bench.rod.length, None
     if channel is not None:
-        length, way = straight_length(routed(channel, length), length), channel.to_table()
+        length, way = (
+            straight_length(Tendon.in_channel(channel, length), length),
+            channel.to_table(),
+        )
     tip = length + bench.coil_offset
     coil = SceneCoil(tip, -1.0, np.eye(4), port=0, way=way)
     scene = Scene.of(motion, times, [coil], T_wt=bench.tracker, flaws=bench.flaws, seed=seed)

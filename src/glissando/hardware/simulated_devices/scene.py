@@ -17,9 +17,9 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.atomic import new_file
 from glissando.model.tendons.channel import Channel
-from glissando.simulation.channel import routed
 from glissando.simulation.imperfections import Imperfections
 from glissando.simulation.motion import Motion
+from glissando.simulation.rod import Tendon
 
 _NODES = 141  # along the robot of a scene of a motion
 
@@ -101,7 +101,7 @@ class Scene:
     def _beside(self, way: dict[str, float], travel: float, time: float) -> Array:
         """T_wc (4, 4) after a travel in m along a channel, by its path through the nodes."""
         stated = Channel(way["radius"], way["angle"], way["pitch"] or np.inf)
-        channel = routed(stated, float(self.arclength[-1]))
+        channel = Tendon.in_channel(stated, float(self.arclength[-1]))
         bodies, place = self.pose(self.arclength, time), channel.path(self.arclength)[0]
         path = bodies[:, :3, 3] + np.einsum("nij,nj->ni", bodies[:, :3, :3], place)
         steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
