@@ -1,5 +1,6 @@
 """`glissando learn`: a robot file from a recording, mistakes as one sentence."""
 
+import argparse
 import json
 import shutil
 import subprocess
@@ -18,7 +19,7 @@ from glissando.calibration.robot.hyperparameters import Parameter, moved
 from glissando.calibration.robot.learn import End, Learned
 from glissando.calibration.robot.predictive import Score
 from glissando.cli import learn as learn_command
-from glissando.cli import learn_tendons, outputs
+from glissando.cli import learn_judgement, learn_tendons, outputs
 from glissando.cli.console import truth_cells
 from glissando.cli.learn_report import _cells, as_json
 from glissando.evaluation.run import run_estimate
@@ -50,6 +51,15 @@ def recording(tmp_path_factory):
         assert old in robot
         robot = robot.replace(old, new)
     (folder / "few.toml").write_text(robot)
+    return folder
+
+
+def unmarked(recording, tmp_path):
+    """A copy in which no stream is marked as truth."""
+    folder = tmp_path / "unmarked"
+    shutil.copytree(recording, folder)
+    text = (folder / "recording.toml").read_text()
+    (folder / "recording.toml").write_text(text.replace("truth = true", ""))
     return folder
 
 
@@ -143,7 +153,7 @@ def test_what_was_learned_stays_where_held_out_truth_cannot_be_judged(
     def breaks(*given, **more):
         raise GlissandoError("It cannot be judged.")
 
-    monkeypatch.setattr(learn_command, "run_estimate", breaks)
+    monkeypatch.setattr(learn_judgement, "run_estimate", breaks)
     out = tmp_path / "out.toml"
     options = ["--robot", recording / "few.toml", "--out", out, *WINDOW, "--steps", 1]
     more = ["--truth", "truth2", "--hold-out", "truth3", "--only", "gyro noise"]
@@ -209,21 +219,44 @@ def test_truth_that_was_learned_from_is_no_sensor_where_other_truth_is_held_out(
     recording, tmp_path, capsys, in_process, monkeypatch
 ):
     """Nothing marks truth here, so each stream is a sensor unless an option says otherwise."""
-    folder = tmp_path / "unmarked"
-    shutil.copytree(recording, folder)
-    text = (folder / "recording.toml").read_text()
-    (folder / "recording.toml").write_text(text.replace("truth = true\n", ""))
-    used = []
+    folder, used = unmarked(recording, tmp_path), []
 
     def watched(*given, use, **more):
         used.append(use)
         return run_estimate(*given, use=use, **more)
 
-    monkeypatch.setattr(learn_command, "run_estimate", watched)
+    monkeypatch.setattr(learn_judgement, "run_estimate", watched)
     options = ["--robot", folder / "few.toml", "--out", tmp_path / "out.toml", "--steps", 1]
     more = ["--truth", "truth2,truth4", "--hold-out", "truth3", "--only", "gyro noise"]
     assert run("learn", folder, *options, *WINDOW, *more) == 0
     assert used == 2 * [["coil", "gyro", "truth1"]]
+
+
+def test_marked_truth_judges_what_readings_alone_have_taught(
+    recording, tmp_path, capsys, in_process
+):
+    out = tmp_path / "out.toml"
+    options = ["--robot", recording / "few.toml", "--out", out, *WINDOW, "--steps", 1, "--json"]
+    more = ["--only", "gyro noise", "--use", "coil,gyro"]
+    for folder, judges in ((recording, True), (unmarked(recording, tmp_path), False)):
+        assert run("learn", folder, *options, *more) == 0
+        captured = capsys.readouterr()
+        told = json.loads(captured.out)
+        assert [h["file"] for h in told["held_out"]] == ["before", "after"] * judges
+        assert (f"no truth judges {out}" in captured.err) is not judges
+
+
+@pytest.mark.parametrize(("inside", "warned"), [(0.84, True), (0.86, False)])
+def test_a_file_that_is_too_sure_of_truth_is_named(inside, warned, capsys):
+    errors = [
+        {"file": file, "recording": "arm", "coverage95_position": share}
+        for file, share in (("before", 0.2), ("after", inside))
+    ]
+    options = argparse.Namespace(out=Path("out.toml"), truth=None)
+    learn_judgement.warn_of_confidence({"held_out": errors}, options)
+    said = capsys.readouterr().err
+    assert ("with out.toml 84.0 % of truth in arm lie inside 95 %" in said) is warned
+    assert said.count("lie inside") == warned
 
 
 def test_without_json_a_table_is_printed_that_names_the_numbers(

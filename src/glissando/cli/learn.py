@@ -6,7 +6,6 @@ import argparse
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from glissando.calibration.robot.hyperparameters import Document, Parameter, exp
 from glissando.calibration.robot.joint_calibration import lasting, locate, without_constants
 from glissando.calibration.robot.learn import End, Learned, learn
 from glissando.calibration.robot.predictive import Start
+from glissando.cli.learn_judgement import judged, warn_of_confidence, with_rows
 from glissando.cli.learn_report import as_json, print_report, steps_of
 from glissando.cli.learn_tendons import is_of_tendons, learn_from_tendons
 from glissando.cli.outputs import LEARNED, require_replaceable, require_writable, write_robot
@@ -22,10 +22,9 @@ from glissando.cli.progress import working
 from glissando.cli.say import say
 from glissando.cli.shared import Commands, add_command, names, warn
 from glissando.errors import GlissandoError, RecordingError
-from glissando.evaluation.metrics import pool
 from glissando.evaluation.plausibility.examine import examine_recording
 from glissando.evaluation.plausibility.finding import refuse
-from glissando.evaluation.run import checked_window, chosen_streams, require_rows, run_estimate
+from glissando.evaluation.run import checked_window, chosen_streams, require_rows
 from glissando.geometry.se3 import Array
 from glissando.io.recording import Recording
 from glissando.io.recording_folder import load_recording
@@ -70,7 +69,8 @@ def add_to(commands: Commands) -> None:
     add("--out", required=True, type=Path, metavar="FILE", help="robot file to write")
     add("--use", type=names, metavar="NAME,…", help="streams to use (default: all but truth)")
     add("--truth", type=names, metavar="NAME,…", help="streams to predict (default: none)")
-    add("--hold-out", type=names, metavar="NAME,…", help="truth to judge by, never learned from")
+    judges = "truth to judge by, never learned from (default: without --truth, what is marked)"
+    add("--hold-out", type=names, metavar="NAME,…", help=judges)
     calibrate = "find the frame of the truth and the mounts of its bodies, and write them as known"
     add("--calibrate", action="store_true", help=calibrate)
     joint = "find them first, with the mounts of uncertain sensors, from sensors and truth at once"
@@ -106,16 +106,18 @@ def _learn(options: argparse.Namespace) -> int:
     write_robot(written, options.robot, options.out)
     report = as_json(result, options.out) | {"windows": [case.window for case in cases]}
     unjudged = ""
-    if options.hold_out and result.end not in (End.INTERRUPTED, End.BROKEN):
+    if result.end not in (End.INTERRUPTED, End.BROKEN):
         files = {"before": begun, "after": written}
         try:
-            report["held_out"] = _judged(files, cases, options)
+            with working("judging what was learned"):
+                report["held_out"] = judged(files, cases, options)
         except GlissandoError as problem:  # which takes nothing from what was learned
             unjudged = str(problem)
     if options.json:
         print(json.dumps(report))
     else:
         print_report(result, report, std)
+    warn_of_confidence(report, options)
     return _ended(result, unjudged, options)
 
 
@@ -187,12 +189,12 @@ def _ended(result: Learned, unjudged: str, options: argparse.Namespace) -> int:
         )
     if result.end is End.INTERRUPTED:
         return 130
-    return 2 if unjudged or result.end is End.BROKEN else 0
+    return 2 if (unjudged and options.hold_out) or result.end is End.BROKEN else 0
 
 
 def _examine(case: RecordingCase, robot: Robot, options: argparse.Namespace) -> None:
     """Refuse what readings and truth of a case cannot be, and warn of what they hardly can."""
-    use, truth = _with_rows(case, case.window), [*case.predict, *(options.hold_out or ())]
+    use, truth = with_rows(case.use, case, case.window), [*case.predict, *(options.hold_out or ())]
     readings, references, _ = chosen_streams(case.recording, robot, case.window, use, truth)
     streams = readings, references, case.window, options.allow
     findings = examine_recording(case.recording, robot, *streams)
@@ -299,25 +301,3 @@ def _with_constants(result: Learned) -> Document:
     if others or known:
         document["sensor_parameters"] = others + known
     return document
-
-
-def _with_rows(case: RecordingCase, window: tuple[float, float]) -> list[str]:
-    """The streams to use that have rows in a window."""
-    times = {name: case.recording.stream(name).rows.time for name in case.use}
-    return [name for name, t in times.items() if np.any((t >= window[0]) & (t <= window[1]))]
-
-
-def _judged(
-    files: dict[str, Document], cases: list[RecordingCase], options: argparse.Namespace
-) -> list[dict[str, Any]]:
-    """Errors against truth that was not learned from, with each file, from the cases' sensors."""
-    found = []
-    for case in cases:
-        window = checked_window(case.recording, options.window)
-        streams = {"use": _with_rows(case, window), "truth": options.hold_out}
-        for name, document in files.items():
-            robot = parse_robot(Table(document, "learned", GlissandoError))
-            run = run_estimate(case.recording, robot, window=window, **streams, allow=options.allow)
-            summary = pool(run.errors).summary()
-            found.append({"file": name, "recording": case.recording.name, **summary})
-    return found
