@@ -12,6 +12,7 @@ from glissando.evaluation.plausibility.finding import Finding, require_known
 from glissando.evaluation.plausibility.inertial import check_accelerometers, check_gyros
 from glissando.evaluation.plausibility.lag import check_lag
 from glissando.evaluation.plausibility.noise import check_noise
+from glissando.evaluation.plausibility.pace import check_pace
 from glissando.evaluation.plausibility.poses import check_poses
 from glissando.evaluation.plausibility.reach import check_far, check_reach, check_size, out_of_reach
 from glissando.evaluation.plausibility.sampling import check_sampling
@@ -83,7 +84,7 @@ def _examined(streams: Streams, window: tuple[float, float] | None) -> list[Find
     if not any(f.refusal and f.name in ("time-unit", "clock", "grid") for f in findings):
         findings += _on_motion(streams)
     if not any(f.refusal for f in findings):
-        findings += check_far(streams)
+        findings += [*check_far(streams), *check_pace(streams)]
     return _without_echoes(findings)
 
 

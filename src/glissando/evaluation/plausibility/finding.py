@@ -20,6 +20,7 @@ CHECKS = {
     "length-unit": "positions, arclengths or mounts that are not in metres",
     "mount": "a sensor whose z axis does not run along the robot",
     "noise": "stated noise against the noise that is seen",
+    "pace": "a robot so slow that its prior forgets what a sliding sensor has just read",
     "quaternion": "another order or direction of rotations",
     "reach": "readings farther from the base than the robot is long",
     "sampling": "rows that stand there twice, coarse stamps, values that freeze",
