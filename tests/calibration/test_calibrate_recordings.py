@@ -239,6 +239,24 @@ def test_a_fixed_coil_states_no_direction_and_poses_stay_as_noisy_as_their_robot
     np.testing.assert_array_equal(made.std, [1e-3, 1e-3, 1e-3, 2e-2, 2e-2])
 
 
+@pytest.mark.parametrize(("end", "beyond"), [(0.7, 2.3e-3), (0.7, 4e-4), (0.0, -3e-3)])
+def test_a_fixed_coil_found_beyond_an_end_is_mounted_ahead_of_it(end, beyond):
+    data, known = rigs.drawn(0, "bent")
+    recording = recording_of(data)
+    coil = recording.streams["coil"]
+    rows = replace(coil.rows, arclength=np.full(coil.rows.time.size, end))
+    streams = {**recording.streams, "coil": replace(coil, rows=rows)}
+    own = recording_data(replace(recording, streams=streams))
+    rig = replace(known, direction=1, zero=end + beyond)
+    result = Calibration(rig, 1e-6 * np.eye(len(PARAMETERS)), "coil", np.inf)
+    made = apply(result, own, rigs.robot(rigs.NODES)).streams["coil"]
+    assert made.rows.time.size == own.coil_time.size
+    np.testing.assert_allclose(made.rows.arclength, end, atol=1e-12)
+    ahead = np.eye(4)
+    ahead[2, 3] = beyond
+    np.testing.assert_allclose(made.mount, ahead @ rig.coil_mount, atol=1e-12)
+
+
 def test_a_frame_parameter_of_the_robot_stands_for_an_unknown_frame(folder):
     text = (folder / "recording.toml").read_text()
     (folder / "recording.toml").write_text(text.replace('"sliding700"', '"mine.toml"'))

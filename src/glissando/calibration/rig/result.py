@@ -28,6 +28,7 @@ from glissando.model.table import Table, pose_table
 from glissando.model.tendons.channel import Channel, ends_of
 
 _OF_PLACE = "frame", "mount", "tracker"  # constants that motion capture shows
+_OFF = 1e-3  # m beyond the robot's ends, from which on a sliding coil is not on it
 _UNITS = {"delay": ("ms", 1e3), "rate": ("ppm", 1e6), "lead": ("1", 1.0)}
 
 
@@ -239,7 +240,8 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
 
     Returns:
         A recording of the coil at true times and arclengths with its mount. Readings while the
-        slide was not recorded, or a millimetre or more off the robot, are left out. The tracker's
+        slide was not recorded, or a millimetre or more off the robot, are left out; a fixed coil
+        that is found ahead of the robot's end is mounted so far ahead of it. The tracker's
         other coils come along, at true times and where they are stated to be. Where the
         calibration did not find the tracker's frame, it is the stated one, else unknown.
 
@@ -247,17 +249,8 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
         RecordingError: If no coil reading is left.
     """
     rig, length = _in_frame(calibration, data), None if robot is None else robot.length
-    time = rig.true_time(data.coil_time)
-    arclength, inside = rig.arclength(time, data), rig.covered(time, data)
-    channel = rig.channel(data)
-    if length is not None:
-        low, high = ends_of(channel, length)
-        inside &= (arclength > low - 1e-3) & (arclength < high + 1e-3)
-        arclength = np.clip(arclength, low, high)
-    if not inside.any():
-        raise RecordingError("No coil reading is on the robot while the slide ran; is it this rig?")
-    name, mount = data.coil_name, rig.whole_mount(data)
-    rows = Rows("coil", time[inside], arclength[inside], rig.T_wt @ data.coil[inside], {})
+    name, channel = data.coil_name, rig.channel(data)
+    rows, mount = _rows_of_coil(rig, data, length)
     streams = {name: Stream(name, rows, mount=mount, keep_repeats=True, channel=channel)}
     for other in data.others:
         rows = _rows_of(other, rig, data, length)
@@ -269,6 +262,26 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
         streams[name] = Stream(name, rows, True, std, b.mount, keep_repeats=True)
     made = Recording("session", Path(), streams, robot, None)
     return made if calibration.placed or data.frame is not None else _unplaced(made)
+
+
+def _rows_of_coil(rig: Rig, data: RigData, length: float | None) -> tuple[Rows, Array]:
+    """Rows of the calibrated coil that are on the robot, and its mount (4, 4).
+
+    What a fixed coil is found beyond the robot's end is how far its mount puts it ahead of there.
+    """
+    time, mount = rig.true_time(data.coil_time), rig.whole_mount(data)
+    arclength, inside = rig.arclength(time, data), rig.covered(time, data)
+    if length is not None:
+        low, high = ends_of(rig.channel(data), length)
+        beyond = arclength - np.clip(arclength, low, high)
+        arclength = arclength - beyond
+        inside &= np.abs(beyond) < (_OFF if data.slides else max(_OFF, 4 * data.coil_arclength_std))
+        if not data.slides:
+            mount = se3.exp(np.array([0.0, 0.0, beyond.mean(), 0.0, 0.0, 0.0])) @ mount
+    if not inside.any():
+        raise RecordingError("No coil reading is on the robot while the slide ran; is it this rig?")
+    poses = rig.T_wt @ data.coil[inside]
+    return Rows("coil", time[inside], arclength[inside], poses, {}), mount
 
 
 def _unplaced(recording: Recording) -> Recording:
