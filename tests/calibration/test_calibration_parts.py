@@ -11,11 +11,13 @@ import rigs_drawn as rigs
 from glissando.calibration.rig.calibrate import _fit_direction
 from glissando.calibration.rig.initial_guess import registration
 from glissando.calibration.rig.model import CoilModel
-from glissando.calibration.rig.rig import PARAMETERS, Rig
-from glissando.calibration.rig.shape import _moves, estimate_shape, shape_covariance
+from glissando.calibration.rig.rig import PARAMETERS, Body, Rig, RigData
+from glissando.calibration.rig.shape import _moves, _nodes, estimate_shape, shape_covariance
 from glissando.calibration.rig.slide_timing import LATEST, slide_lag
 from glissando.estimation.posterior import Posterior
 from glissando.geometry import se3
+from glissando.io.robot_file import load_robot
+from glissando.io.robot_template import RobotOutline, robot_text
 from glissando.model.interpolation import sort_points
 from glissando.model.slide_track import side_of_play
 from glissando.model.tendons.channel import Channel
@@ -161,6 +163,21 @@ def _dense(shape: Posterior, place, time, by_state):
         own.append(by_state[i] @ at.cov[0] @ by_state[i].T)
     stacked = np.vstack(rows)
     return stacked @ cov @ stacked.T + block_diag(*own)
+
+
+@pytest.mark.parametrize(("length", "segments"), [(0.25, 3), (0.1865, 2), (0.7, 1)])
+def test_shapes_have_nodes_at_joints_and_ends_off_whole_millimetres(tmp_path, length, segments):
+    outline = RobotOutline("r", length, segments, 0.01, 1.5, ["coil"])
+    (tmp_path / "r.toml").write_text(robot_text(outline))
+    robot, pose = load_robot(tmp_path / "r.toml"), np.eye(4)[None]
+    places = length * np.array([0.0, 0.3, 0.7, 1.0])
+    bodies = {f"b{s}": Body(s, np.eye(4), np.zeros(1), pose) for s in places}
+    none = np.zeros(0)
+    nodes = _nodes(RigData("coil", none, pose[:0], none, none, bodies, length, 1e-3), robot)
+    assert nodes[0] == 0.0
+    assert nodes[-1] == length
+    assert np.all(np.diff(nodes) > 5e-4)
+    assert set(robot.prior.joints) <= set(nodes)
 
 
 def test_registration_undoes_any_motion_whatever_the_roll():

@@ -25,6 +25,7 @@ from glissando.model.sensors.sensors import PoseReadings
 from glissando.solver.block_tridiagonal import Cholesky
 
 _FINE, _MARGIN = 0.03, 1e-3  # m: between nodes where the coil slides, and beyond its reach
+_APART = 5e-4  # m: a place nearer to an end or a joint is at its node
 _RATE, _MOST = 16.0, 1000  # Hz of time nodes at least, and their number at most
 _SPARSE = 2  # every so many of these nodes is used while the robot is still
 _STILL = 3.0  # RMS motion, in standard deviations of the noise, of a body that keeps still
@@ -125,16 +126,17 @@ def _keeps_still(data: RigData) -> bool:
 
 
 def _nodes(data: RigData, robot: Robot) -> Array:
-    """Arclengths with a node at every body, and closely spaced where the coil slides.
+    """Arclengths with a node at every joint and body, and closely spaced where the coil slides.
 
     The uncertainty between nodes counts as independent for each reading, so it has to be small.
     """
     travel = np.append(data.travel, 0.0)
     reach = np.concatenate([data.coil_arclength + travel, data.coil_arclength - travel])
     low, high = np.clip([reach.min(), reach.max()], 0.0, robot.length)
-    fixed = [0.0, robot.length, low, high, *robot.prior.joints]
-    fixed += [body.arclength for body in data.bodies.values()]
-    ends = np.unique(np.round(fixed, 3))
+    exact = np.unique([0.0, robot.length, *robot.prior.joints])
+    places = np.array([low, high, *(body.arclength for body in data.bodies.values())])
+    apart = np.min(np.abs(places[:, None] - exact), axis=1) > _APART
+    ends = np.unique([*exact, *np.round(places[apart], 3)])
     widest = float(np.diff(robot.arclength_nodes).max())
     out = [ends[:1]]
     for first, last in pairwise(ends):
