@@ -12,6 +12,7 @@ from glissando.errors import GlissandoError, ImplausibleError, OutsideGridError
 from glissando.evaluation.plausibility.examine import examine
 from glissando.evaluation.plausibility.finding import CHECKS, Finding, refuse
 from glissando.evaluation.plausibility.noise import check_noise
+from glissando.evaluation.plausibility.reach import out_of_reach
 from glissando.model.sensors.accelerometer import AccelerometerReadings
 from scenes import LENGTH, angular_velocity, arc
 
@@ -44,6 +45,22 @@ def test_a_right_session_passes_with_and_without_truth(session):
     robot, sensors, truth, frames = session
     assert not found(robot, sensors, truth, frames, window=(0.0, 5.0))
     assert not found(robot, sensors)
+
+
+def test_a_base_that_may_move_so_far_is_not_out_of_reach():
+    """Of a robot that is inserted, as a file with a base known to 30 mm only says."""
+    robot, time = load_robot("tdcr466-segments"), np.arange(0.0, 4.0, 0.05)
+    place = np.tile(np.eye(4), (time.size, 1, 1))
+    place[:, 2, 3] = 0.037 * (1.0 - np.cos(time * np.pi / 2))
+    base = PoseReadings(time=time, arclength=0.0, values=place, cov=1e-6, name="base")
+    assert out_of_reach(robot, base).any()
+    prior = replace(robot.prior, base=replace(robot.prior.base, pose=np.full(6, 9e-4)))
+    assert not out_of_reach(replace(robot, prior=prior), base).any()
+    kinematic = load_robot("tdcr466")
+    assert out_of_reach(kinematic, base).any()
+    known = replace(kinematic.prior.base, pose=np.full(6, 9e-4 / kinematic.time_rate))
+    prior = replace(kinematic.prior, base=known)
+    assert not out_of_reach(replace(kinematic, prior=prior), base).any()
 
 
 def test_noise_of_a_coil_is_seen_whatever_its_roll():
