@@ -13,9 +13,10 @@ import rigs_drawn as rigs
 from glissando import GlissandoError, load_robot
 from glissando.calibration.rig.plausible import require_metres
 from glissando.calibration.rig.result import apply, load_calibration
-from glissando.calibration.rig.rig import PARAMETERS
+from glissando.calibration.rig.rig import PARAMETERS, Body, RigData
 from glissando.calibration.rig.session_data import rig_data
 from glissando.cli.main import main
+from glissando.errors import RecordingError
 from glissando.geometry import se3
 from glissando.io.recording_folder import load_recording
 from glissando.io.robot_file import parse_robot
@@ -105,6 +106,34 @@ def test_sessions_of_earlier_versions_say_nothing_unknown(name):
     assert data.coil_arclength == 0.7
     assert len(data.bodies) == 6
     require_metres(data, load_robot("sliding700"))
+
+
+@pytest.mark.parametrize(
+    ("bodies", "coil", "sentence"),
+    [
+        (1e3, 1.0, r"The distance of bodies '\S+' and '\S+' is .* give metres, not millimetres"),
+        (1.0, 1e3, r"The way of 'coil' from its middle is .* give metres, not millimetres"),
+        (1e-3, 1.0, r"Bodies of motion capture lie .* in metres, read as millimetres"),
+        (1.0, 1e-3, r"Positions of 'coil' lie .* in metres, read as millimetres"),
+    ],
+)
+def test_positions_in_another_unit_are_named_before_anything_is_fitted(bodies, coil, sentence):
+    time, travel = np.linspace(0.0, 1.0, 20), np.linspace(0.0, 0.6, 20)
+
+    def straight(place, scale):
+        poses = np.tile(np.eye(4), (time.size, 1, 1))
+        poses[:, 2, 3] = scale * place
+        return poses
+
+    def session(bodies, coil):
+        placed = {f"b{s}": Body(s, np.eye(4), time, straight(s, bodies)) for s in (0.0, 0.3, 0.7)}
+        seen = straight(0.7 - travel, coil)
+        return RigData("coil", time, seen, time, travel, placed, 0.7, 5e-3)
+
+    robot = load_robot("sliding700")
+    require_metres(session(1.0, 1.0), robot)
+    with pytest.raises(RecordingError, match=sentence):
+        require_metres(session(bodies, coil), robot)
 
 
 @pytest.mark.slow

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
-from glissando.calibration.rig.rig import RigData
+from glissando.calibration.rig.rig import Body, RigData
 from glissando.errors import RecordingError
+from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
 from glissando.model.tendons.channel import ends_of
 
@@ -14,6 +17,8 @@ _SLIDDEN = 1.5  # of the robot's length: what a slide travels at most
 _CORRELATED = 10.0  # of the robot's length: how far errors are correlated at most
 _MOUNT = 1.0  # m from the backbone at most
 _ROUNDING = 1e-6  # m
+_APART = 3.0  # of the robot's length: how far bodies are from each other, and a coil goes, at most
+_NEAR = 0.02  # of what lies between them: only in a closed loop bodies are nearer to each other
 
 
 def require_metres(data: RigData, robot: Robot) -> None:
@@ -42,6 +47,48 @@ def require_metres(data: RigData, robot: Robot) -> None:
                 f"{what} is stated at the arclength {arclength:g} m, off robot {robot.name!r} of "
                 f"{robot.length:g} m; give metres from its base, not millimetres."
             )
+    _require_near(data, _SPREAD * robot.length)
+
+
+def _require_near(data: RigData, between: float) -> None:
+    """Raise where positions are in metres, read as millimetres: they hardly differ.
+
+    Args:
+        data: The session.
+        between: Arclength, m, from which on places of bodies are not taken for one.
+    """
+    pairs = [
+        (abs(one.arclength - other.arclength), _apart(one, other))
+        for one, other in combinations(data.bodies.values(), 2)
+        if abs(one.arclength - other.arclength) > between
+    ]
+    what, (most, way) = "Bodies of motion capture", max(pairs, default=(0.0, 0.0))
+    wrong = bool(pairs) and all(apart < _NEAR * along for along, apart in pairs)
+    if not wrong and data.slides and data.coil_time.size:
+        travel = np.interp(data.coil_time, data.slide_time, data.travel)
+        what, most = f"Positions of {data.coil_name!r}", float(np.ptp(travel))
+        way = 2.0 * float(_strays(data.coil).max())
+        wrong = most > between and way < _NEAR * most
+    if wrong:
+        raise RecordingError(
+            f"{what} lie {way:.2g} m apart, which are {most:.3g} m apart along the robot: they are "
+            f"probably in metres, read as millimetres; state their unit."
+        )
+
+
+def _apart(one: Body, other: Body) -> float:
+    """Distance of the median positions of two bodies, m."""
+    return float(np.linalg.norm(_middle(one.poses) - _middle(other.poses)))
+
+
+def _middle(poses: Array) -> Array:
+    """The median position (3,) of poses (M, 4, 4)."""
+    return np.asarray(np.median(poses[:, :3, 3], axis=0))
+
+
+def _strays(poses: Array) -> Array:
+    """Distances (M,) of poses (M, 4, 4) from their median position."""
+    return np.asarray(np.linalg.norm(poses[:, :3, 3] - _middle(poses), axis=1))
 
 
 def _limits(data: RigData, length: float) -> list[tuple[str, float, float]]:
@@ -61,6 +108,12 @@ def _limits(data: RigData, length: float) -> list[tuple[str, float, float]]:
         out.append((f"The correlation length of the {what}", float(value), _CORRELATED * length))
     if data.slides:
         out.append(("The slide's way", float(np.ptp(data.travel)), _SLIDDEN * length))
+    if data.coil_time.size:
+        stray = float(np.median(_strays(data.coil)))
+        out.append((f"The way of {data.coil_name!r} from its middle", stray, _APART * length))
+    for (a, one), (b, other) in combinations(data.bodies.items(), 2):
+        apart = _apart(one, other)
+        out.append((f"The distance of bodies {a!r} and {b!r}", apart, _APART * length))
     mounts = {f"body {name!r}": body.mount for name, body in data.bodies.items()}
     for name, mount in {**mounts, f"coil {data.coil_name!r}": data.mount}.items():
         out.append((f"The mount of {name}", float(np.linalg.norm(mount[:3, 3])), _MOUNT))
