@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import block_diag
 
 import rigs_drawn as rigs
-from glissando.calibration.rig.calibrate import _fit_direction
+from glissando.calibration.rig.calibrate import _fit_direction, _usable
 from glissando.calibration.rig.initial_guess import registration
 from glissando.calibration.rig.model import CoilModel
 from glissando.calibration.rig.rig import PARAMETERS, Body, Rig, RigData
@@ -178,6 +178,21 @@ def test_shapes_have_nodes_at_joints_and_ends_off_whole_millimetres(tmp_path, le
     assert nodes[-1] == length
     assert np.all(np.diff(nodes) > 5e-4)
     assert set(robot.prior.joints) <= set(nodes)
+
+
+def test_readings_of_a_tracker_that_freezes_are_left_out_and_counted():
+    time, pose = np.linspace(0.0, 10.0, 400), np.tile(np.eye(4), (400, 1, 1))
+    pose[:, 0, 3] = 1e-2 * np.sin(time)
+    tip = Body(0.7, np.eye(4), time, pose)
+    none = np.zeros(0)
+    data = RigData("coil", time, pose.copy(), none, none, {"tip": tip}, 0.7, 5e-3)
+    assert _usable(data)[0].coil_time.size == time.size
+    data.coil[200:] = data.coil[200]
+    usable, notes = _usable(data)
+    np.testing.assert_array_equal(usable.coil_time, time[:201])
+    assert any(note.startswith("199 readings of 'coil'") for note in notes)
+    data.coil[:] = data.coil[0]
+    assert _usable(data)[0].coil_time.size == time.size
 
 
 def test_registration_undoes_any_motion_whatever_the_roll():

@@ -199,7 +199,7 @@ def _doubts(data: RigData, fit: RigFit, odds: float, left_out: int) -> tuple[str
 
 
 def _usable(data: RigData) -> tuple[RigData, tuple[str, ...]]:
-    """The data from when all devices ran, within LATEST, and sentences on missing devices."""
+    """The data from when all devices ran, within LATEST, and sentences on what is missing."""
     notes = []
     if not data.slides:
         notes.append(
@@ -211,6 +211,14 @@ def _usable(data: RigData) -> tuple[RigData, tuple[str, ...]]:
             "tracker's clock stay unknown; the slide's clock is found against the tracker's."
         )
     data = data.at(np.argsort(data.coil_time, kind="stable"))
+    new = np.ones(data.coil_time.size, dtype=bool)
+    new[1:] = np.any(data.coil[1:] != data.coil[:-1], axis=(1, 2))
+    if FEWEST <= new.sum() < new.size:
+        notes.append(
+            f"{int(np.sum(~new))} readings of {data.coil_name!r} have all digits of the one before "
+            f"and were left out: the tracker was frozen there, or polled faster than it measures."
+        )
+        data = data.at(np.flatnonzero(new))
     times = [b.time for b in data.bodies.values()] + [data.slide_time] * data.slides
     if times:
         first, last = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
