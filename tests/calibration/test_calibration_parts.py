@@ -214,6 +214,21 @@ def test_the_slides_lag_is_found_by_speeds_alone():
         assert abs(slide_lag(data)) <= LATEST
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.3, -0.4])
+@pytest.mark.parametrize("period", [2.0, 4.0])
+def test_of_delays_that_an_even_slide_makes_alike_the_nearest_is_taken(period, delay):
+    time, slide_time = np.arange(0.0, 10.0, 1 / 40), np.arange(-3.0, 13.0, 0.01)
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        phase = rng.uniform(0.0, 2.0 * np.pi)
+        travel = 0.02 * np.cos(2.0 * np.pi * slide_time / period + phase)
+        poses = np.tile(np.eye(4), (time.size, 1, 1))
+        poses[:, 2, 3] = -np.interp(time, slide_time, travel)
+        poses[:, :3, 3] += 4e-4 * rng.standard_normal((time.size, 3))
+        data = RigData("coil", time, poses, slide_time + delay, travel, {}, 0.7, 5e-3)
+        assert slide_lag(data) == pytest.approx(delay, abs=0.06)
+
+
 def test_play_is_taken_up_before_the_coil_follows():
     travel = np.array([0.0, 2e-5, 1e-3, 9.8e-4, 0.0])
     expected = np.array([0.0, 0.4, 1.0, 0.6, -1.0])

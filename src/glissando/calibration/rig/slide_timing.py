@@ -15,6 +15,7 @@ _FOUND = [PARAMETERS.index(name) for name in ("lead", "slide delay", "backlash")
 _LAP = 0.1  # s over which speeds are taken
 _STEP = 0.025  # s between delays that are tried
 _NUDGE = 0.02  # s over which the carriage's speed is differenced
+_EQUAL = 0.95  # of the best correlation, from where on a delay is as good
 _ROUNDS = 5
 _EXACT = 1e-8  # m, standard deviation of a backlash that is known
 _CORRELATED = 4.0  # neighbouring speeds that share the noise of a coil reading
@@ -27,19 +28,24 @@ _MOVED = 0.1  # of the coil's squared speed: more that is not the carriage's is 
 def slide_lag(data: RigData) -> float:
     """Delay of the slide's stamps relative to the coil's, s, by correlation of their speeds.
 
-    The coil's speed along its own axis goes with the carriage's. Zero when either is at rest.
+    The coil's speed along its own axis goes with the carriage's. Zero when either is at rest. A
+    slide that goes to and fro evenly looks alike half a period later: of equals it is the nearest.
 
     Args:
         data: The session.
     """
     stamps, coil_speed = _coil_speeds(data)
-    best = (0.0, 0.0)
-    for lag in np.arange(-LATEST, LATEST + 1e-9, _STEP):
+    if np.ptp(data.travel) <= 1e-4:
+        return 0.0
+    lags, alike = np.arange(-LATEST, LATEST + 1e-9, _STEP), []
+    for lag in lags:
         speed = _speeds(data, data.travel, stamps + lag)
         norm = float(np.linalg.norm(speed) * np.linalg.norm(coil_speed))
-        if norm > 0.0 and np.ptp(data.travel) > 1e-4:
-            best = max(best, (abs(float(speed @ coil_speed)) / norm, float(lag)))
-    return best[1]
+        alike.append(abs(float(speed @ coil_speed)) / norm if norm > 0.0 else 0.0)
+    around = np.pad(alike, 1)
+    peaks = (around[1:-1] >= around[:-2]) & (around[1:-1] >= around[2:])
+    peaks &= np.array(alike) >= _EQUAL * max(alike)
+    return float(min(lags[peaks], key=abs)) if max(alike) > 0.0 else 0.0
 
 
 def against_slide(data: RigData, expected: Rig, std: Array) -> tuple[Rig, Array]:
