@@ -165,6 +165,23 @@ def test_times_at_which_nothing_was_read_say_nothing_of_a_touch():
 
 
 @pytest.mark.slow
+def test_readings_of_a_touch_are_no_outliers_and_an_outlier_is_no_touch():
+    """The prior knows of no touch and would refute all that is read while one lasts."""
+    rng, times = np.random.default_rng(8), np.arange(0.0, 2.01, 0.2)
+    touched, free, push = (times > 0.9) & (times < 1.5), shape(np.zeros(3)), shape(FORCE)
+    parts = [coil(rng, push if on else free, [t]) for on, t in zip(touched, times, strict=True)]
+    joined = {name: np.concatenate([getattr(r, name) for r in parts])
+              for name in ("time", "arclength", "values")}  # fmt: skip
+    wrong = 3 * PLACES.size - 1
+    joined["values"][wrong, :3, 3] += [0.0, 0.02, 0.0]
+    readings = CoilReadings(**joined, cov=NOISE**2)
+    posterior = estimate(replace(PRIOR, time_scale=0.1), Grid(NODES, times), [readings])
+    assert posterior.solve.refused == {"CoilReadings": [wrong]}
+    scan = scan_contacts(posterior, times, std_force=STD)
+    np.testing.assert_array_equal(scan.detected, touched)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("online", [False, True])
 @pytest.mark.parametrize("share", [0.25, 1.0])
 def test_over_time_a_force_is_as_large_as_it_is_and_there_while_it_is(online, share):

@@ -20,7 +20,14 @@ from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
 from glissando.estimation.given import model_of, require_batch, require_gate
 from glissando.estimation.misfit import breakdown, misfit_sentence, worst_readings
-from glissando.estimation.outliers import CHANCE, Mask, distinct_labels, judged, used_at_first
+from glissando.estimation.outliers import (
+    CHANCE,
+    Mask,
+    distinct_labels,
+    judged,
+    under_touches,
+    used_at_first,
+)
 from glissando.estimation.place_evidence import by_evidence
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.several_starts import Start, StartProblem, best_end, start_at
@@ -38,6 +45,8 @@ from glissando.solver.gauss_newton import Progress, Solution, SolverOptions, Sto
 from glissando.solver.located_readings import locate
 
 _ROUNDS = 5  # of solving and judging readings
+Judged = tuple[Solution, Posterior, list[Mask]]
+"""A solution, its posterior, and which readings of each stream it used."""
 
 
 def estimate(
@@ -57,8 +66,8 @@ def estimate(
     The iteration starts at rest, over coarse time nodes. If it is given another start that turns
     out to be far off, it starts at rest as well, and the better end counts. A reading that all
     others refute is left out and named in the report; streams with a robust loss keep all of
-    theirs. Readings of sensors in channels beside the backbone are placed by the shape until both
-    agree (M8).
+    theirs, and with a mechanical prior those are kept that a touch explains. Readings of sensors in
+    channels beside the backbone are placed by the shape until both agree (M8).
 
     Args:
         model: The robot, or the prior of its motion.
@@ -173,7 +182,9 @@ class _Problem:
         with self.explained():
             end, known = self.best_end(used, start), None
             if self.gate is not None:
-                end, known, used = self.solve_without_refuted(end, used, self.gate)
+                first, (end, known, used) = used, self.solve_without_refuted(end, used, self.gate)
+                if not all(rows.all() for rows in used):
+                    end, known, used = self.solve_with_touches(start, first, (end, known, used))
             seen = self.placed_by_evidence(end, used)
             seen = self.dated(seen) if self.dates else seen
             posterior = self.known_by(seen) if known is None or seen is not end else known
@@ -254,9 +265,30 @@ class _Problem:
         with one_thread():
             return with_unseen_delays(self.prior, solution, self.sensor_parameters, self.options)
 
-    def solve_without_refuted(
-        self, end: Solution, used: list[Mask], gate: float
-    ) -> tuple[Solution, Posterior, list[Mask]]:
+    def solve_with_touches(self, start: Start, first: list[Mask], known: Judged) -> Judged:
+        """Use readings as well that a touch explains, where the prior knows of none.
+
+        Args:
+            start: Where the iteration starts.
+            first: The readings that the first solve used.
+            known: The solution without touches.
+        """
+        prior = under_touches(self.prior, self.grid.arclength)
+        if prior is self.prior or self.gate is None:
+            return known
+        rough = SolverOptions.rough(known[0].equations.rhs.size)
+        touched = replace(self, prior=prior, options=rough)
+        end = touched.best_end(first, start)
+        if not end.outcome.sound:
+            return known
+        end, _, fit = touched.solve_without_refuted(end, first, self.gate)
+        used = [mine | other for mine, other in zip(known[2], fit, strict=True)]
+        if all(map(np.array_equal, used, known[2])):
+            return known
+        better = self.minimum(used, start_at(end))
+        return better, self.known_by(better), used
+
+    def solve_without_refuted(self, end: Solution, used: list[Mask], gate: float) -> Judged:
         """Judge readings and solve again until those used are those that no others refute.
 
         Estimates that are judged again are rough.

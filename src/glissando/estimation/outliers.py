@@ -9,14 +9,18 @@ whole stream badly makes none of its readings an outlier. Source: equation (25).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from glissando.estimation.contact import bending_force
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.reading_fit import fit_of
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Residuals
+from glissando.model.priors.mechanical.prior import MechanicalPrior
+from glissando.model.priors.prior import Prior
 from glissando.model.quantiles import chi_square_exceedance
 from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import Solution
@@ -111,6 +115,22 @@ def used_at_first(readings: Readings, gate: float | None) -> Mask:
     if gate is None or readings.loss is not None:
         return np.ones(len(readings), dtype=bool)
     return ~spikes(readings)
+
+
+def under_touches(prior: Prior, arclength: Array) -> Prior:
+    """The prior that judges readings: if it knows mechanics, one of a robot that may be touched.
+
+    Else all readings of a robot that something pushes aside for a while are outliers of a robot
+    that nothing touches.
+
+    Args:
+        prior: The prior.
+        arclength: Nodes (N,), m.
+    """
+    if not isinstance(prior, MechanicalPrior):
+        return prior
+    force = bending_force(prior, arclength) ** 2 / float(arclength[-1])
+    return replace(prior, psd_load=prior.psd_load + np.repeat([force, 0.0], 3))
 
 
 def judged(
