@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from glissando import CoilReadings, FixedLagSmoother, Grid, SolverOptions, estimate
+from glissando import (
+    CoilReadings,
+    FalseConfidenceWarning,
+    FixedLagSmoother,
+    Grid,
+    SolverOptions,
+    estimate,
+)
 from glissando.errors import GlissandoError, OutsideGridError
 from glissando.estimation.contact import ContactScan, scan_contacts, scan_of
 from glissando.estimation.contact_evidence import error_priors
@@ -72,6 +79,18 @@ def test_a_force_is_found_at_its_place_with_its_size():
     gap = found.force - FORCE
     assert gap @ np.linalg.solve(found.cov_force, gap) < 15.0
     assert np.linalg.norm(gap[:2]) < 0.35 * np.linalg.norm(FORCE)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error::glissando.FalseConfidenceWarning")
+def test_where_two_touch_no_place_of_one_is_stated_without_a_warning():
+    grid, rng = Grid(NODES, [0.0]), np.random.default_rng(0)
+    pair = [Wrench(0.2, [0.1, 0.0, 0.0]), Wrench(0.4, [0.0, 0.08, 0.0])]
+    two = coil(rng, solve_shape(ROD, [], Loads(gravity=GRAVITY, wrenches=pair)))
+    with pytest.warns(FalseConfidenceWarning, match="No single force explains"):
+        found = locate_contact(PRIOR, grid, [two], start=0.36, std_force=STD)
+    assert min(abs(found.arclength - w.arclength) for w in pair) > 5.0 * found.std_arclength
+    locate_contact(PRIOR, grid, [coil(rng, shape(FORCE))], start=0.3, std_force=STD)
 
 
 @pytest.mark.slow

@@ -170,20 +170,42 @@ class Wrench:
             place: Arclength of the node, m.
             length: Length of the robot, m.
         """
-        places = (np.arange(_PLACES) + 0.5) * length / _PLACES
-        lever = np.zeros((_PLACES, 6, 3))
-        lever[:, :3] = np.eye(3)
-        lever[:, 3:] = (places - place)[:, None, None] * se3.hat3(self.tangent)
-        back = np.swapaxes(lever, -1, -2)
-        cov = np.asarray(np.linalg.inv(back @ self.information @ lever + self.of_force))
-        force = np.einsum("pij,pj->pi", cov, back @ self.vector)
-        log = 0.5 * np.einsum("pi,pi->p", force, back @ self.vector)
-        log += 0.5 * np.linalg.slogdet(cov)[1]
+        places, force, cov, explained = self._forces(place, length)
+        log = 0.5 * explained + 0.5 * np.linalg.slogdet(cov)[1]
         share = np.exp(log - logsumexp(log))
         where, mean = share @ places, share @ force
         spread = np.einsum("p,pi,pj->ij", share, force - mean, force - mean)
         std = np.hypot(np.sqrt(share @ (places - where) ** 2), length / _PLACES / np.sqrt(12.0))
         return float(where), float(std), mean, np.einsum("p,pij->ij", share, cov) + spread
+
+    def beside_one_force(self, place: float, length: float) -> float:
+        """Squared misfit of one force at its best place: χ² of two degrees of freedom, or less.
+
+        A force has three of a wrench's six numbers, and its place one; others that act elsewhere,
+        or a moment, need more.
+
+        Args:
+            place: Arclength of the node, m.
+            length: Length of the robot, m.
+        """
+        return float(self.vector @ self.mean - self._forces(place, length)[3].max())
+
+    def _forces(self, place: float, length: float) -> tuple[Array, Array, Array, Array]:
+        """Places (P,) all along the robot, and what one force does at each.
+
+        Returns:
+            The places, forces (P, 3) with covariances (P, 3, 3), and how much (P,) of a χ² they
+            explain.
+        """
+        places = (np.arange(_PLACES) + 0.5) * length / _PLACES
+        lever = np.zeros((_PLACES, 6, 3))
+        lever[:, :3] = np.eye(3)
+        lever[:, 3:] = (places - place)[:, None, None] * se3.hat3(self.tangent)
+        back = np.swapaxes(lever, -1, -2)
+        vector = back @ self.vector
+        cov = np.asarray(np.linalg.inv(back @ self.information @ lever + self.of_force))
+        force = np.einsum("pij,pj->pi", cov, vector)
+        return places, force, cov, np.einsum("pi,pi->p", force, vector)
 
 
 def wrench_at(posterior: Posterior, place: float, variance: Array) -> Wrench:

@@ -5,6 +5,7 @@ Source: equation (29).
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -12,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from glissando.errors import OutsideGridError, UnobservableError
+from glissando.errors import FalseConfidenceWarning, OutsideGridError, UnobservableError
 from glissando.estimation.batch import estimate
 from glissando.estimation.contact import force_variance
 from glissando.estimation.contact_force import Wrench, wrench_at
@@ -20,11 +21,18 @@ from glissando.estimation.posterior import Posterior
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, with_places
 from glissando.model.priors.mechanical.prior import MechanicalPrior
+from glissando.model.quantiles import chi_square_exceedance
 from glissando.model.sensors.readings import Readings
 
 _ROUNDS = 8
 _MISFIT = 5.0  # standard deviations of readings' misfit beyond which a search begins elsewhere
 _WORSE = 1.0  # by which the cost may grow on the way: a moment stands for a place that is off
+_OTHERS = chi_square_exceedance(1e-3, 2)  # squared misfit of one force, where none else acts
+_OF_OTHERS = (
+    "No single force explains the readings: the likeliest, at {:.3g} m, leaves a squared misfit of "
+    "{:.3g}, where chance leaves 2. Several touch the robot, or a moment acts, so place and force "
+    "are wrong by more than is stated: name where they may act in `points` of the prior."
+)
 _STARTS = (0.15, 0.4, 0.65, 0.9)  # of the length
 _LEVER = 0.1  # of the length, by which a place may be wrong while it is sought
 
@@ -37,7 +45,7 @@ class Contact:
         arclength: Where, m.
         std_arclength: Its standard deviation, m.
         force: Force (3,), N, in the world frame.
-        cov_force: Its covariance (3, 3), the place being where it is.
+        cov_force: Its covariance (3, 3), wherever it acts.
         posterior: The posterior with this force, and a moment that stands for its place.
     """
 
@@ -58,7 +66,8 @@ def locate_contact(
 ) -> Contact:
     """The place of one force and the force, with the whole rod bent anew at every step.
 
-    A force moved by Δs makes the moment Δs t × f where it was, so Gauss–Newton moves it.
+    A force moved by Δs makes the moment Δs t × f where it was, so Gauss–Newton moves it. Place and
+    force are those of one force alone: where several act, or a moment, neither is any of theirs.
 
     Args:
         prior: The prior, without the contact.
@@ -69,6 +78,9 @@ def locate_contact(
 
     Raises:
         OutsideGridError: The start is not on the robot.
+
+    Warns:
+        FalseConfidenceWarning: No single force explains the readings.
     """
     length = float(grid.arclength[-1])
     if not 0.0 < start <= length:
@@ -95,18 +107,26 @@ def locate_contact(
             break
         if other.posterior.solve.cost < best.posterior.solve.cost + _WORSE:
             best, reach = other, max(reach, 0.5 * abs(best.move))
-    return Contact(*best.wrench.over_places(best.place, length), best.posterior)
+    found = Contact(*best.wrench.over_places(best.place, length), best.posterior)
+    misfit = best.wrench.beside_one_force(best.place, length)
+    if misfit > _OTHERS:
+        doubt = _OF_OTHERS.format(found.arclength, misfit)
+        warnings.warn(doubt, FalseConfidenceWarning, stacklevel=2)
+    for said in best.said:
+        warnings.warn(said, stacklevel=2)
+    return found
 
 
 @dataclass(frozen=True)
 class _Touched:
-    """A load tried at a place: what readings say of it, how far beyond it a force would act."""
+    """A load tried at a place, what readings say of it, how far beyond it a force would act."""
 
     posterior: Posterior
     place: float
     wrench: Wrench
     move: float
     std: float
+    said: Sequence[Warning]
 
 
 def _touched_at(
@@ -130,6 +150,9 @@ def _touched_at(
         var_points=np.concatenate([prior.var_points, variance[None]])[order],
     )
     start = None if near_by is None else near_by.states_on(finer)
-    posterior = estimate(touched, finer, readings, initial=start)
+    with warnings.catch_warnings(record=True) as said:  # for the place that is found
+        warnings.simplefilter("always")
+        posterior = estimate(touched, finer, readings, initial=start)
     wrench = wrench_at(posterior, place, variance)
-    return _Touched(posterior, place, wrench, *wrench.beyond(length))
+    warned = [w.message for w in said if isinstance(w.message, Warning)]
+    return _Touched(posterior, place, wrench, *wrench.beyond(length), warned)
