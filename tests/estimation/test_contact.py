@@ -240,7 +240,10 @@ def test_over_time_a_force_is_as_large_as_it_is_and_there_while_it_is(online, sh
         ({"std_force": np.nan}, "give newtons above 0, one number or three"),
         ({"std_force": [0.3, 0.3, 0.0]}, "give newtons above 0, one number or three"),
         ({"std_force": [0.3, 0.3]}, "give newtons above 0, one number or three"),
+        ({"std_force": "big"}, "std_force is 'big'; give newtons above 0"),
+        ({"false_alarms": "few"}, "false_alarms is 'few'; give a share of times"),
         ({"time": []}, "needs a time"),
+        ({"time": "now"}, "Places and times are numbers"),
     ],
 )
 def test_a_scan_for_no_force_or_an_untold_rate_is_one_sentence(wrong, sentence):

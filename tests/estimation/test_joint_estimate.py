@@ -85,6 +85,7 @@ def test_neighbours_move_together(posterior):
         ([0.1, 0.9], 0.6, "has arclength 0.9 m"),
         (0.1, 0.6, "takes a list of places"),
         ([], 0.6, "takes a list of places"),
+        ([0.1, 0.2], [0.6, 0.4], "and one time"),
     ],
 )
 def test_what_is_not_known_together_is_a_sentence(posterior, place, time, words):

@@ -25,7 +25,7 @@ from glissando.estimation.loads import require_mechanics
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.transported import has_rolled
 from glissando.geometry.se3 import Array
-from glissando.model.grid import Index
+from glissando.model.grid import Index, points_of
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.quantiles import chi_square_quantile
 from glissando.solver.block_tridiagonal import factor
@@ -131,7 +131,7 @@ def scan_contacts(
         OutsideGridError: A time is off the grid.
     """
     prior, grid = require_mechanics(posterior.prior), posterior.grid
-    when = np.asarray(time, dtype=float)
+    _, when = points_of(0.0, time)
     if not when.size:
         raise GlissandoError("A scan for contacts needs a time; give one, or several.")
     grid.require(np.zeros(when.size), when.ravel(), "Contact")
@@ -203,9 +203,9 @@ def scan_of(
         variance: Prior variance (3,) of a force, N².
         false_alarms: Share of times at which an untouched robot may be said to be touched.
     """
-    if not RAREST <= false_alarms <= 0.5:
+    if np.asarray(false_alarms).dtype.kind not in "fi" or not RAREST <= false_alarms <= 0.5:
         raise GlissandoError(
-            f"false_alarms is {false_alarms:g}; give a share of times from {RAREST:g} to 0.5."
+            f"false_alarms is {false_alarms!r}; give a share of times from {RAREST:g} to 0.5."
         )
     cov, half_log_det = evidence.given_force(variance)
     force = np.einsum("cij,cj->ci", cov, evidence.vector)
@@ -225,9 +225,8 @@ def bending_force(prior: MechanicalPrior, arclength: Array) -> float:
 
 def force_variance(prior: MechanicalPrior, arclength: Array, std: ArrayLike | None) -> Array:
     """Prior variance (3,) of a force of deviations (3,) or (), `bending_force` unless given, N²."""
-    given = np.asarray(bending_force(prior, arclength) if std is None else std, dtype=float)
-    if given.shape not in ((), (3,)) or not np.all((given > 0.0) & np.isfinite(given)):
-        raise GlissandoError(
-            f"std_force is {given.tolist()}; give newtons above 0, one number or three."
-        )
-    return np.broadcast_to(given, 3) ** 2
+    given = np.asarray(bending_force(prior, arclength) if std is None else std)
+    sound = given.shape in ((), (3,)) and given.dtype.kind in "fiu"
+    if not sound or not np.all((given > 0.0) & np.isfinite(given)):
+        raise GlissandoError(f"std_force is {std!r}; give newtons above 0, one number or three.")
+    return np.broadcast_to(given.astype(float), 3) ** 2

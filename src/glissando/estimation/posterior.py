@@ -114,7 +114,7 @@ class Posterior(ShortRepr):
                 grid.
         """
         places, times = points_of(arclength, time)
-        if places.ndim != 1 or not places.size:
+        if places.ndim != 1 or not places.size or np.size(time) != 1:
             raise OutsideGridError("joint takes a list of places (M,) and one time.")
         return joint_estimate(
             self.prior, self.grid, self.state, self.marginals, places, float(times.flat[0])
