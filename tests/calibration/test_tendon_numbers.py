@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from glissando.calibration.robot.learn_tendons import TendonData, learn_tendons
 from glissando.calibration.robot.tendon_numbers import TendonModel
-from glissando.estimation.tendon_prediction import predict_tip
+from glissando.estimation.tendon_prediction import predict, predict_tip
 from glissando.model.tendons.tendon_rod import replicated
 from tendon_robot import tendon_robot
 
@@ -46,18 +47,43 @@ def test_commands_that_pull_alike_are_left_out_together():
     assert set(circling) == set(range(6))
 
 
-def test_each_replicate_is_what_was_learned_without_one_block():
-    """So its errors on that block are those of the block left out."""
+@pytest.fixture(scope="module")
+def taught():
+    """A true robot, the data of its marker, and what was learned from them."""
     rng, robot = np.random.default_rng(4), tendon_robot(play=1e-4)
     model = TendonModel.of(robot, 6)
     truth = 0.7 * rng.standard_normal(model.std.size) * model.std
     pulled = np.repeat(np.eye(6), 10, axis=0) * np.tile(np.linspace(0.0, 3e-3, 10), 6)[:, None]
     tip = model.tip(truth, model.reached(truth, pulled))[0] + 3e-4 * rng.standard_normal((60, 3))
     data = TendonData.of(pulled, tip)
-    learned = learn_tendons(robot, data)
-    replicates = list(replicated(learned.robot))
+    return model.robot_of(truth, np.full(3, 1e-4)), data, learn_tendons(robot, data)
+
+
+def test_each_replicate_is_what_was_learned_without_one_block(taught):
+    """So its errors on that block are those of the block left out."""
+    _, data, learned = taught
+    replicates = list(replicated(learned.robot, learned.robot.tendons.replicates))
     assert len(replicates) == 6
     for block, each in enumerate(replicates):
         rows = data.block == block
-        off = tip[rows] - predict_tip(each, pulled, "tip")[0][rows]
+        off = data.tip[rows] - predict_tip(each, data.displacement, "tip")[0][rows]
         np.testing.assert_allclose(off, learned.held_out[rows], atol=1e-8)
+
+
+def test_what_the_marker_leaves_open_of_the_robots_own_frame_is_in_its_covariance(taught):
+    """How the tracker is turned against a rod bent at rest moves the robot, not what is seen."""
+    truth, data, learned = taught
+    robot, at = learned.robot, (np.arange(60.0), data.displacement, np.array([0.1, 0.2]))
+    seen = predict_tip(robot, data.displacement, "tip")[0]
+    for other in replicated(robot, robot.tendons.left_open):
+        moved = predict_tip(other, data.displacement, "tip")[0] - seen
+        assert np.sqrt(np.mean(moved**2)) < 5e-4
+    silent = replace(robot, tendons=replace(robot.tendons, left_open=()))
+    true, stated, before = (predict(each, *at) for each in (truth, robot, silent))
+    error = np.einsum("mnji,mnj->mni", stated.pose[..., :3, :3], true.position - stated.position)
+    honest, false = (
+        np.einsum("mni,mnij,mnj->mn", error, np.linalg.inv(each.position_covariance()), error)
+        for each in (stated, before)
+    )
+    assert np.mean(honest < chi2.ppf(0.95, 3)) > 0.9
+    assert np.mean(false) > 10.0 * np.mean(honest)

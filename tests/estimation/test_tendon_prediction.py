@@ -169,12 +169,29 @@ def test_replicates_of_what_was_learned_add_the_jackknifes_covariance(count):
     np.testing.assert_allclose(cov - without, expected, atol=1e-12)
 
 
-def test_replicates_are_written_to_a_robot_file_and_read_as_they_were(tmp_path):
+def test_what_is_left_open_adds_its_squares_in_the_robots_frame_and_not_to_the_marker():
+    plain = tendon_robot(psd_moment=1e-7, std=1e-4)
+    robot, others = with_replicates(plain, 3, seed=2)
+    robot = replace(robot, tendons=replace(plain.tendons, left_open=robot.tendons.replicates))
+    pulled = 2e-3 * np.random.default_rng(3).uniform(-1.0, 1.0, (5, 6))
+    moved, bare = (predict(each, np.arange(5.0), pulled) for each in (robot, plain))
+    expected = np.zeros((*bare.cov.shape[:2], 6, 6))
+    for other in (predict(each, np.arange(5.0), pulled) for each in others):
+        turned = se3.log(se3.inverse(bare.pose) @ other.pose)
+        expected += turned[..., :, None] * turned[..., None, :]
+    np.testing.assert_allclose((moved.cov - bare.cov)[..., :6, :6], expected, atol=1e-9)
+    np.testing.assert_array_equal(*(predict_tip(each, pulled, "tip")[1] for each in (robot, plain)))
+
+
+@pytest.mark.parametrize("key", ["replicates", "left_open"])
+def test_replicates_are_written_to_a_robot_file_and_read_as_they_were(tmp_path, key):
     robot, _ = with_replicates(tendon_robot(), 6, seed=0)
+    others = {"replicates": (), key: robot.tendons.replicates}
+    robot = replace(robot, tendons=replace(robot.tendons, **others))
     save_robot(robot, tmp_path / "robot.toml")
-    again = load_robot(tmp_path / "robot.toml").tendons.replicates
+    again = getattr(load_robot(tmp_path / "robot.toml").tendons, key)
     assert len(again) == 6
-    for one, other in zip(robot.tendons.replicates, again, strict=True):
+    for one, other in zip(others[key], again, strict=True):
         for name, value in vars(one).items():
             np.testing.assert_array_equal(value, getattr(other, name), err_msg=name)
 

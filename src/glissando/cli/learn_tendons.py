@@ -81,7 +81,7 @@ def learn_from_tendons(
         f"The tip errs by {report['rmse_mm']:.3g} mm on the {len(tip)} rows learned from, by "
         f"{report['rmse_left_out_mm']:.3g} mm on rows left out.\nOnly the marker judges this: a "
         f"turn of its tracker's frame, rest curvature and angles of tendons trade with each other, "
-        f"so in the robot's own frame more may be wrong than is predicted.\n"
+        f"so in the robot's own frame poses are as unsure as the prior leaves these.\n"
         f"Wrote {options.out}. Now: "
         f"glissando predict --robot {options.out} --tendons commands.csv --out predicted"
     )

@@ -17,6 +17,7 @@ from glissando.model.grid import Grid
 from glissando.model.robot import Robot
 from glissando.model.state import DOF
 from glissando.model.tendons.equilibrium import Equilibrium
+from glissando.model.tendons.replicate import Replicate
 from glissando.model.tendons.statics import equilibrium
 from glissando.model.tendons.tendon_rod import TendonRod, mechanical, replicated, tendon_rod
 from glissando.model.tendons.tendons import Tendons
@@ -34,7 +35,8 @@ def predict(
     The robot is in static equilibrium at every time, without loads from outside and without its own
     weight. Covariance is that of [tendons] and [base]: displacements that differ from the commands,
     where in its play each tendon was at first, moments that the model lacks, how well the numbers
-    of a learned robot are known, and how well where the base stands.
+    of a learned robot are known, what a marker alone left open of them, and how well where the base
+    stands.
 
     Args:
         robot: Robot with [mechanics] and [tendons].
@@ -61,9 +63,11 @@ def predict(
     cov[..., : _VELOCITY.start, : _VELOCITY.start] = of_shape[:, node]
     by_pull = shape.pose_by(shape.strain_by_displacement())[:, node]
     velocity, cov[..., _VELOCITY, _VELOCITY] = _velocity(rod, time, displacement, by_pull)
-    cov[..., : _VELOCITY.start, : _VELOCITY.start] += _jackknife(
-        [_off(other, shape, node) for _, other in _replicates(robot, places, displacement, shape)]
+    replicates, left_open = (
+        [_off(other, shape, node) for _, other in _shapes(robot, each, places, displacement, shape)]
+        for each in (rod.tendons.replicates, rod.tendons.left_open)
     )
+    cov[..., : _VELOCITY.start, : _VELOCITY.start] += _jackknife(replicates) + _squares(left_open)
     _warn_beyond(rod.tendons, displacement)
     prediction = StateEstimate(shape.pose()[:, node], _strain(shape, node), velocity, cov)
     warn_of_weight(robot, float(prediction.std_position.max()))
@@ -106,11 +110,15 @@ def _strain(shape: Equilibrium, node: NDArray[np.intp]) -> Array:
     return shape.strain[:, np.maximum(node - 1, 0)]
 
 
-def _replicates(
-    robot: Robot, nodes: Array, displacement: Array, near: Equilibrium
+def _shapes(
+    robot: Robot,
+    replicates: tuple[Replicate, ...],
+    nodes: Array,
+    displacement: Array,
+    near: Equilibrium,
 ) -> Iterator[tuple[Robot, Equilibrium]]:
-    """The replicates of a robot, and the shapes that each is pulled into, near the robot's."""
-    for replicate in replicated(robot):
+    """Replicates of a robot, and the shapes that each is pulled into, near the robot's."""
+    for replicate in replicated(robot, replicates):
         rod = tendon_rod(replicate, nodes)
         pulled = rod.tendons.effective(displacement)
         yield replicate, equilibrium(rod, displacement=pulled, start=near.strain)
@@ -118,10 +126,15 @@ def _replicates(
 
 def _jackknife(off: list[Array]) -> Array:
     """The covariance (…, d, d) that n replicates show by what each is off (…, d)."""
+    return (len(off) - 1) / max(len(off), 1) * _squares(off)
+
+
+def _squares(off: list[Array]) -> Array:
+    """The sum (…, d, d) of the squares of deviations (…, d)."""
     if not off:
         return np.zeros(())
     every = np.stack(off, axis=-1)
-    return np.asarray((len(off) - 1) / len(off) * every @ np.swapaxes(every, -1, -2))
+    return np.asarray(every @ np.swapaxes(every, -1, -2))
 
 
 def _warn_beyond(tendons: Tendons, displacement: Array) -> None:
@@ -177,10 +190,8 @@ def predict_tip(robot: Robot, displacement: Array, stream: str) -> tuple[Array, 
     _warn_beyond(rod.tendons, np.atleast_2d(displacement))
     shape = equilibrium(rod, displacement=rod.tendons.effective(displacement))
     marker = _marker(robot, shape, stream)
-    off = [
-        _marker(replicate, other, stream)[:, :3, 3] - marker[:, :3, 3]
-        for replicate, other in _replicates(robot, np.zeros(0), displacement, shape)
-    ]
+    others = _shapes(robot, rod.tendons.replicates, np.zeros(0), displacement, shape)
+    off = [_marker(each, other, stream)[:, :3, 3] - marker[:, :3, 3] for each, other in others]
     lever = se3.adjoint(se3.exp(-robot.stated_transform("mount", stream)))
     turn = marker[:, :3, :3]
     cov_pose = shape.cov(rod.tendons.std_in_play(displacement))[:, -1, :6, :6]

@@ -3,7 +3,8 @@
 Numbers of the robot are found by robust least squares with a prior about the robot file they start
 from; derivatives are those of the equilibrium, so that a step costs one solution a shape. The model
 error is that of runs left out: blocks of the recording are predicted from the others in turn. The
-numbers without each block say how well the numbers are known.
+numbers without each block say how well the numbers are known, and of what the marker cannot tell,
+such as how its tracker is turned against a rod bent at rest, the prior does.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ _STEPS = 25
 _ENOUGH = 0.5  # fall of the cost at which to stop
 _GIVE_UP = 1e6  # damping
 _FAR = 30.0  # times as far as predicted, or as little: the tip is in another unit
+_SHAPES, _NUDGE = 24, 1e-2  # at which it is judged what moves the robot, and by how much
+_TOLD = 0.999  # of the squares of what is left open
 _COVERED, _ELLIPSOID = 0.96, 0.95  # motions to come combine more than those left out do
 
 Watch = Callable[[str], None]
@@ -106,7 +109,8 @@ def learn_tendons(robot: Robot, data: TendonData, watch: Watch | None = None) ->
         left = data.block == block
         without.append(_fit(model, numbers, data, ~left, f"without block {block}", say))
         held_out[left] = _errors(model, without[-1], data)[left]
-    learned = model.robot_of(numbers, _model_error(model, numbers, data, held_out), without)
+    model_error = _model_error(model, numbers, data, held_out)
+    learned = model.robot_of(numbers, model_error, without, _left_open(model, numbers, data))
     assert learned.tendons is not None
     most = np.maximum(data.displacement.max(axis=0), 0.0)
     learned = replace(learned, tendons=replace(learned.tendons, learned_to=most))
@@ -165,10 +169,8 @@ def _fit(
     model: TendonModel, start: Numbers, data: TendonData, use: Array, name: str, say: Watch
 ) -> Numbers:
     """Levenberg–Marquardt on Student's t of the tip's errors and the prior of the numbers."""
-    rows = np.flatnonzero(use)
-    rows = rows[:: max(1, -(-len(rows) // _MOST))]
-    sigma = _SCALE * model.robot.length
-    info_prior = model.std**-2.0
+    rows = _thinned(np.flatnonzero(use), _MOST)
+    sigma, info_prior = _SCALE * model.robot.length, model.std**-2.0
 
     def cost_of(numbers: Numbers, strain: Array | None) -> tuple[float, Array, Equilibrium]:
         pulled = model.reached(numbers, data.displacement)[rows]
@@ -181,12 +183,7 @@ def _fit(
     now, damping = start, 1e-2
     cost, error, shape = cost_of(now, None)
     for step in range(_STEPS):
-        slope = model.slope(now, data.displacement, rows, shape) / sigma
-        weight = (_TAILS + 3.0) / (_TAILS + np.sum(error**2, axis=1))
-        root = np.sqrt(weight)[:, None, None]
-        tall = (slope * root).reshape(-1, slope.shape[-1])
-        info = tall.T @ tall + np.diag(info_prior)
-        rhs = tall.T @ (error * root[..., 0]).ravel() - info_prior * now
+        info, rhs = _normal_equations(model, now, data, rows, (error, shape))
         before = cost
         while damping < _GIVE_UP:
             trial = now + np.linalg.solve(info + damping * np.diag(np.diag(info)), rhs)
@@ -201,6 +198,51 @@ def _fit(
         if before - cost < _ENOUGH:
             break
     return now
+
+
+def _thinned(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """Every so manieth of some rows, that there are no more than so many."""
+    return rows[:: max(1, -(-len(rows) // most))]
+
+
+def _normal_equations(
+    model: TendonModel,
+    numbers: Numbers,
+    data: TendonData,
+    rows: NDArray[np.intp],
+    at: tuple[Array, Equilibrium],
+) -> tuple[Array, Array]:
+    """Information (n, n) and right-hand side (n,) at `at`, scaled errors and shapes of the rows."""
+    error, shape = at
+    slope = model.slope(numbers, data.displacement, rows, shape) / (_SCALE * model.robot.length)
+    root = np.sqrt((_TAILS + 3.0) / (_TAILS + np.sum(error**2, axis=1)))[:, None, None]
+    tall = (slope * root).reshape(-1, slope.shape[-1])
+    prior = model.std**-2.0
+    rhs = tall.T @ (error * root[..., 0]).ravel() - prior * numbers
+    return tall.T @ tall + np.diag(prior), rhs
+
+
+def _left_open(model: TendonModel, numbers: Numbers, data: TendonData) -> list[Numbers]:
+    """The numbers a standard deviation away along each way of which the prior alone decided.
+
+    Had the prior's mean been elsewhere by Δ, the numbers would be by A⁻¹ P⁻¹ Δ, with A the
+    information and P the prior's covariance. Kept are the ways that move the robot most, in its own
+    frame: marker and tracker do not.
+    """
+    rows = _thinned(np.arange(len(data.tip)), _MOST)
+    tip, shape = model.tip(numbers, model.reached(numbers, data.displacement)[rows])
+    error = (data.tip[rows] - tip) / (_SCALE * model.robot.length)
+    info, _ = _normal_equations(model, numbers, data, rows, (error, shape))
+    ways = np.linalg.solve(info, np.diag(1.0 / model.std))
+    few = _thinned(np.arange(len(rows)), _SHAPES)
+    at = data.displacement, rows[few], shape.strain[few]
+    ends = [
+        [model.body(numbers + _NUDGE * step, *at).ravel() for step in (way, -way)] for way in ways.T
+    ]
+    moved = np.array([(ahead - behind) / (2.0 * _NUDGE) for ahead, behind in ends])
+    across, size, _ = np.linalg.svd(moved, full_matrices=False)
+    share = np.cumsum(size**2) / np.sum(size**2)
+    return list(numbers + (ways @ across[:, : 1 + np.searchsorted(share, _TOLD)]).T)
 
 
 def _model_error(model: TendonModel, numbers: Numbers, data: TendonData, error: Array) -> Array:

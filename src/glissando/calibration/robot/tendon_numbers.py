@@ -107,7 +107,13 @@ class TendonModel:
         rest[:, _BENDING] += bend[self.segment]
         return replace(self.rod, tendons=self.tendons(numbers), stiffness=stiffness, rest=rest)
 
-    def robot_of(self, numbers: Numbers, errors: Array, without: Sequence[Numbers] = ()) -> Robot:
+    def robot_of(
+        self,
+        numbers: Numbers,
+        errors: Array,
+        without: Sequence[Numbers] = (),
+        left_open: Sequence[Numbers] = (),
+    ) -> Robot:
         """The robot that the numbers describe.
 
         Args:
@@ -115,6 +121,7 @@ class TendonModel:
             errors: Standard deviation of displacements (m), root density of missing moments
                 (N m^3/2) and standard deviation of the marker's position (m).
             without: The numbers without each part of what they were learned from.
+            left_open: The numbers moved along what was left to the prior.
         """
         of, robot = self._part(numbers), self.robot
         before = mechanical(robot)
@@ -126,26 +133,30 @@ class TendonModel:
         mechanics = replace(before.mechanics, stiffness=stiffness)
         prior = replace(before, mechanics=mechanics, rest_strain=rest)
         std, moment, marker = errors
-        replicates = tuple(replicate_of(self.robot_of(each, errors)) for each in without)
+        replicates, others = (
+            tuple(replicate_of(self.robot_of(each, errors)) for each in some)
+            for some in (without, left_open)
+        )
         tendons = replace(
             self.tendons(numbers),
             std=float(std),
             psd_moment=float(moment**2),
             replicates=replicates,
+            left_open=others,
         )
         frame, mount = self._marker(numbers)
         known = [
             SensorParameter(f"{TIP} {kind}", kind, (TIP,), value, np.zeros(6))
             for kind, value in (("frame", se3.log(se3.inverse(frame))), ("mount", se3.log(mount)))
         ]
-        others = [p for p in robot.sensor_parameters if TIP not in p.streams]
+        elsewhere = [p for p in robot.sensor_parameters if TIP not in p.streams]
         return replace(
             robot,
             mechanics=mechanics,
             tendons=tendons,
             prior=prior,
             sensor_std=robot.sensor_std | {"position": np.full(3, float(marker))},
-            sensor_parameters=(*others, *known),
+            sensor_parameters=(*elsewhere, *known),
         )
 
     def reached(self, numbers: Numbers, displacement: Array) -> Array:
@@ -164,6 +175,21 @@ class TendonModel:
         """
         shape = equilibrium(self.rod_of(numbers), displacement=pulled, start=start)
         return self._seen(numbers, shape.pose()[:, -1]), shape
+
+    def body(
+        self, numbers: Numbers, displacement: Array, rows: NDArray[np.intp], start: Array
+    ) -> Array:
+        """Positions (R, P+1, 3) where pieces meet, in the robot's own frame.
+
+        Args:
+            numbers: The numbers.
+            displacement: Displacements (M, T) of all rows, play included.
+            rows: Which rows.
+            start: Strains (R, P, 6) near those of the shapes.
+        """
+        pulled = self.reached(numbers, displacement)[rows]
+        shape = equilibrium(self.rod_of(numbers), displacement=pulled, start=start)
+        return shape.pose()[..., :3, 3]
 
     def slope(
         self, numbers: Numbers, displacement: Array, rows: NDArray[np.intp], at: Equilibrium

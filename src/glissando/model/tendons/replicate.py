@@ -3,6 +3,9 @@
 How far apart such replicates predict is what is not known of the numbers. The covariance of a
 prediction, the jackknife, is (n − 1)/n times the sum of the squares of their n deviations from that
 of all data. Source: Efron and Tibshirani 1993, chapter 11.
+
+Of what no data tell, replicates say nothing. Those that are left open are the numbers moved a
+standard deviation along what the prior alone decided, and the squares of their deviations add up.
 """
 
 from __future__ import annotations
@@ -58,20 +61,23 @@ class Replicate:
         }
 
 
-def read_replicates(tendons: Table, count: int, sections: int | None) -> tuple[Replicate, ...]:
-    """The entries [[tendons.replicates]] of a robot file.
+def read_replicates(
+    tendons: Table, key: str, count: int, sections: int | None
+) -> tuple[Replicate, ...]:
+    """The entries [[tendons.replicates]], or of another key, of a robot file.
 
     Args:
         tendons: The table [tendons].
+        key: Which of its lists of entries.
         count: How many tendons there are.
         sections: How many segments [mechanics] has; None where there is no such table.
 
     Raises:
         GlissandoError: A value is missing or impossible.
     """
-    entries = tendons.tables("replicates")
+    entries = tendons.tables(key)
     if entries and sections is None:
-        raise tendons.fail("replicates", "need [mechanics], whose stiffness they differ in.")
+        raise tendons.fail(key, "need [mechanics], whose stiffness they differ in.")
     return tuple(_replicate(entry, count, sections or 0) for entry in entries)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -122,18 +122,17 @@ def tendon_rod(robot: Robot, nodes: Array | None = None) -> TendonRod:
     return TendonRod(tendons, every, stiffness, prior.rest.at(middle), *base)
 
 
-def replicated(robot: Robot) -> Iterator[Robot]:
-    """The robots that the replicates of a robot's tendons describe."""
+def replicated(robot: Robot, replicates: Iterable[Replicate]) -> Iterator[Robot]:
+    """The robots that replicates of a robot's tendons, or what is left open of them, describe."""
     prior, tendons = mechanical(robot), robot.tendons
-    if tendons is None:
-        return
-    for replicate in tendons.replicates:
+    assert tendons is not None
+    for replicate in replicates:
         mechanics = replace(prior.mechanics, stiffness=replicate.section_stiffness)
         numbers = {name: getattr(replicate, name) for name in (*EACH, "softness")}
         yield replace(
             robot,
             mechanics=mechanics,
-            tendons=replace(tendons, replicates=(), **numbers),
+            tendons=replace(tendons, replicates=(), left_open=(), **numbers),
             prior=replace(prior, mechanics=mechanics, rest_strain=replicate.rest_strain),
             sensor_parameters=tuple(
                 replace(stated, value=getattr(replicate, stated.kind))

@@ -26,6 +26,7 @@ _LARGEST_RADIUS = 0.1  # m, beyond which a radius was most likely given in milli
 _EACH = ("radius", "angle", "pitch", "end", "stiffness", "slack", "play", "friction")
 _SHARED = {"softness": 1e-4, "std": 1e-4, "psd_moment": 1e-7}
 _OPTIONAL = {"pitch": 0.0, "slack": 0.0, "play": 0.0, "friction": 0.0}
+_OTHERS = ("replicates", "left_open")
 _ZERO = 0.05  # m, by which slack may hold where a servo's zero lies
 _TRAVEL = 10.0  # rad, times its radius: what no slack, play or error of a tendon exceeds
 _STICKING = 2.0  # of friction: beyond it, rubber on rubber
@@ -56,6 +57,8 @@ class Tendons:
             nobody says.
         replicates: These numbers as learned without each part of the recording, which say how well
             they are known; none where nobody says.
+        left_open: These numbers a standard deviation away along what that recording left to the
+            prior, such as how its tracker is turned.
         names: Columns of the tendons in files.
     """
 
@@ -72,6 +75,7 @@ class Tendons:
     psd_moment: float = 1e-7
     learned_to: Array = field(default_factory=lambda: np.full(1, np.inf))
     replicates: tuple[Replicate, ...] = ()
+    left_open: tuple[Replicate, ...] = ()
     names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -172,8 +176,9 @@ class Tendons:
         table |= {name: float(getattr(self, name)) for name in _SHARED}
         if np.isfinite(self.learned_to).all():
             table["learned_to"] = self.learned_to.tolist()
-        if self.replicates:
-            table["replicates"] = [replicate.to_table() for replicate in self.replicates]
+        for name in _OTHERS:
+            if others := getattr(self, name):
+                table[name] = [other.to_table() for other in others]
         return table
 
 
@@ -210,7 +215,7 @@ def read_tendons(robot: Table, length: float, mechanics: Mechanics | None = None
                 f"metres, by which tendons were pulled.",
             )
     sections = None if mechanics is None else len(mechanics.stiffness)
-    given["replicates"] = read_replicates(table, count, sections)
+    given |= {name: read_replicates(table, name, count, sections) for name in _OTHERS}
     table.close()
     _require_units(SimpleNamespace(**given), table.fail)
     tendons = Tendons(names=names, **given)
