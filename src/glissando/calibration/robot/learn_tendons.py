@@ -29,7 +29,7 @@ _BLOCKS, _RUNS = 6, 36  # of a recording, and runs of few patterns that are deal
 _AT_REST, _IDLE = 0.2, 0.3  # of the largest displacement: below it a row, or a tendon, hardly moves
 _MOST = 700  # rows that numbers are learned from
 _STEPS = 25
-_ENOUGH = 0.5  # fall of the cost at which to stop
+_ENOUGH = 0.5  # fall of the cost, and what a step promises of it, at which to stop
 _GIVE_UP = 1e6  # damping
 _FAR = 30.0  # times as far as predicted, or as little: the tip is in another unit
 _SHAPES, _NUDGE = 24, 1e-2  # at which it is judged what moves the robot, and by how much
@@ -184,7 +184,7 @@ def _fit(
     cost, error, shape = cost_of(now, None)
     for step in range(_STEPS):
         info, rhs = _normal_equations(model, now, data, rows, (error, shape))
-        before = cost
+        before, promised = cost, 0.5 * float(rhs @ np.linalg.solve(info, rhs))
         while damping < _GIVE_UP:
             trial = now + np.linalg.solve(info + damping * np.diag(np.diag(info)), rhs)
             found = cost_of(trial, shape.strain)
@@ -195,7 +195,7 @@ def _fit(
             damping *= 4.0
         rmse = sigma * np.sqrt(np.mean(np.sum(error**2, axis=1)))
         say(f"learning {name}: step {step + 1}, tip within {1e3 * rmse:.2f} mm")
-        if before - cost < _ENOUGH:
+        if damping >= _GIVE_UP or max(before - cost, promised) < _ENOUGH:
             break
     return now
 
