@@ -1,6 +1,7 @@
 """What friction along its channel leaves of a tendon's tension: exp(−μ Θ).
 
 Θ is the angle by which the backbone bends the tendon; what a helical channel turns is left out.
+Friction acts as when the tendon is pulled, also where it is let go.
 """
 
 from __future__ import annotations
