@@ -1,12 +1,16 @@
 """Streams that were asked for and have no rows, and delays that are known."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from glissando.cli import importing
 from glissando.cli.main import main
 from glissando.geometry import se3
 from glissando.io.csv_stream import Rows, Stream
 from glissando.io.journal import Journal
+from glissando.io.recording import Recording
 from glissando.io.recording_writer import write_streams
 from glissando.io.shipped_robots import robot_file
 
@@ -128,3 +132,13 @@ def test_a_delay_that_no_other_stream_determines_is_said_to_be_as_it_was_stated(
     assert main(["estimate", recording(0.0), *words]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "± 20 ms; as stated, the readings do not determine it" in said
+
+
+@pytest.mark.parametrize(
+    ("names", "said"), [(["tip"], "calibrate bench"), (["tip", "b"], "calibrate bench --coil tip")]
+)
+def test_the_next_step_of_an_import_names_one_of_several_coils(names, said):
+    streams = {name: Stream(name, rows(), frame="tracker") for name in names}
+    known = {"unknown_frames": frozenset({"tracker"})}
+    made = Recording("bench", Path("bench"), streams, None, None, **known)
+    assert importing._next(Path("bench"), made, truth=True).endswith(f"glissando {said}")

@@ -7,6 +7,8 @@ import math
 from pathlib import Path
 from shlex import quote
 
+import numpy as np
+
 from glissando.cli.outputs import require_writable, stated
 from glissando.cli.shared import Commands, add_command, chosen_robot, findings_in, names, warn
 from glissando.cli.unused_options import refuse_unused
@@ -164,7 +166,10 @@ def _next(folder: Path, recording: Recording, truth: bool) -> str:
         return f"Now: glissando estimate {given} --out results"
     where = f"Where the frame {' and '.join(unknown)} is in the world is not known"
     if truth:
-        return f"{where}. Now: glissando calibrate {given}"
+        coils = [name for name in used if recording.streams[name].frame in unknown]
+        first = max(coils, key=lambda name: np.ptp(recording.streams[name].rows.arclength))
+        which = f" --coil {quote(first)}" if len(coils) > 1 else ""
+        return f"{where}. Now: glissando calibrate {given}{which}"
     file = folder / "recording.toml"
     return f"{where}: state it in {file}, or import motion capture with --truth."
 

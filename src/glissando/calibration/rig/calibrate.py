@@ -192,8 +192,9 @@ def _doubts(data: RigData, fit: RigFit, odds: float, left_out: int) -> tuple[str
         )
     elif data.direction not in (0, fit.rig.direction):
         out.append(
-            f"The setup says direction {data.direction:+d}, the readings {fit.rig.direction:+d} "
-            f"(log odds {odds:.0f}): the latter is taken; check the setup."
+            f"Direction {data.direction:+d} is stated, and the readings say "
+            f"{fit.rig.direction:+d} (log odds {odds:.0f}), which is taken; check the sign of the "
+            f"travel."
         )
     return tuple(out)
 
