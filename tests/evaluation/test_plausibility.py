@@ -88,6 +88,18 @@ def test_a_stream_far_from_the_base_is_refused_whatever_else_is_wrong(session):
     assert any(truth[0].label in f.streams for f in refused)
 
 
+@pytest.mark.parametrize(
+    ("place", "said"), [(0.0, "the base probably moves"), (0.4, "it probably slides")]
+)
+def test_what_moves_along_its_axis_at_one_arclength_slides_unless_it_is_the_base(place, said):
+    time = np.arange(0.0, 10.0, 0.025)
+    pose = np.tile(np.eye(4), (time.size, 1, 1))
+    pose[:, 2, 3] = place + 0.05 * np.sin(time)
+    fields = {"time": time, "arclength": np.full(time.size, place), "name": "moved"}
+    read = PoseReadings(**fields, values=pose, cov=np.full(6, 1e-6))
+    assert said in found(load_robot("sliding700"), [read])["slide"].sentence
+
+
 def test_a_stream_that_reads_many_places_of_a_robot_at_rest_does_not_move():
     robot = load_robot("sliding700")
     time = np.repeat(0.05 * np.arange(20), 3)

@@ -104,11 +104,16 @@ def _unmoved(r: Readings, streams: Streams) -> Finding | None:
         return None
     if 2.0 * largest_extension(streams.robot) * streams.robot.length > span[2]:
         return None
+    place = float(np.median(r.arclength))
+    remedy = (
+        "it probably slides; give every row the arclength of the slide."
+        if place > _FAR * streams.robot.length
+        else "the base probably moves; in [base] give var_pose the squares of how far it does."
+    )
     return Finding(
         "slide",
         f"{r.label!r} moves {span[2]:.3g} m along its own axis, and hardly sideways, while its "
-        f"arclength stays at {np.median(r.arclength):.3g} m: it probably slides; give every row "
-        f"the arclength of the slide.",
+        f"arclength stays at {place:.3g} m: {remedy}",
         False, (r.label,), "unmoved",
     )  # fmt: skip
 
