@@ -12,8 +12,7 @@ from glissando.geometry import se3
 from glissando.io.robot_file import load_robot
 from glissando.io.robot_writer import save_robot
 from glissando.model.sensors.parameters import SensorParameter
-from glissando.model.tendons.replicate import Replicate
-from tendon_robot import LENGTH, STIFFNESS, tendon_robot
+from tendon_robot import LENGTH, STIFFNESS, tendon_robot, with_replicates
 
 TIME = np.zeros(1)
 
@@ -106,44 +105,6 @@ def test_a_single_time_and_place_are_taken_as_they_are():
     np.testing.assert_allclose(
         alone.position, predict(robot, TIME, commands(1), np.array([LENGTH])).position
     )
-
-
-def with_replicates(robot, count, seed):
-    """A robot with replicates of its numbers, and the robots that these are, built by hand."""
-    rng, tendons, prior = np.random.default_rng(seed), robot.tendons, robot.prior
-    replicates, robots = [], []
-    for _ in range(count):
-        numbers = {
-            "radius": tendons.radius * np.exp(0.03 * rng.standard_normal(6)),
-            "angle": tendons.angle + 0.1 * rng.standard_normal(6),
-            "stiffness": tendons.stiffness * np.exp(0.2 * rng.standard_normal(6)),
-            "slack": 3e-4 * rng.standard_normal(6),
-            "play": 1e-4 * np.abs(rng.standard_normal(6)),
-            "softness": 2e-4 * np.exp(0.2 * rng.standard_normal()),
-        }
-        stiffness = prior.mechanics.stiffness * np.exp(0.1 * rng.standard_normal((2, 6)))
-        rest = np.tile(prior.rest_strain, (2, 1)) + 0.3 * rng.standard_normal((2, 6))
-        mount, frame = 0.01 * rng.standard_normal((2, 6))
-        replicates.append(
-            Replicate(
-                **numbers, section_stiffness=stiffness, rest_strain=rest, mount=mount, frame=frame
-            )
-        )
-        mechanics = replace(prior.mechanics, stiffness=stiffness)
-        marker = [
-            SensorParameter(name, name, ("tip",), value, np.zeros(6))
-            for name, value in (("mount", mount), ("frame", frame))
-        ]
-        robots.append(
-            replace(
-                robot,
-                tendons=replace(tendons, **numbers),
-                mechanics=mechanics,
-                prior=replace(prior, mechanics=mechanics, rest_strain=rest),
-                sensor_parameters=tuple(marker),
-            )
-        )
-    return replace(robot, tendons=replace(tendons, replicates=tuple(replicates))), robots
 
 
 @pytest.mark.parametrize("count", [1, 6])

@@ -14,10 +14,11 @@ from glissando.model.sensors.parameters import corrected
 from glissando.model.state import State
 from glissando.planning.scene.motion_problem import MotionProblem
 from glissando.planning.scene.plan_motion import motion_problem
+from glissando.planning.scene.scene_checks import unsure_numbers
 from glissando.planning.scene.sensor_errors import sensor_errors
 from glissando.planning.scene.tendon_body import tendon_body
 from motion_scenes import COIL, HELD, LOOSE, ROBOT, UNSURE, any_problem, around, small_scene
-from tendon_robot import LENGTH, NAMES, tendon_robot
+from tendon_robot import LENGTH, NAMES, tendon_robot, with_replicates
 
 WORTH = {
     "cost": (lambda p, e: e.cost, lambda p, e: p.gradients(e)[0]),
@@ -167,3 +168,16 @@ def test_weight_that_a_plan_leaves_out_is_named():
     heavy = replace(ROBOT, prior=replace(ROBOT.prior, mechanics=mechanics))
     with pytest.warns(FalseConfidenceWarning, match=r"moves it by .* mm when no tendon pulls"):
         motion_problem(small_scene([]), heavy)
+
+
+@pytest.mark.parametrize("key", ["replicates", "left_open"])
+def test_how_surely_tendons_were_learned_is_named_as_the_risk_leaves_it_out(key):
+    others = with_replicates(tendon_robot(), 6, seed=0)[0].tendons.replicates
+    learned = {"learned_to": np.full(6, 2e-3), key: others}
+    robot = replace(ROBOT, tendons=replace(ROBOT.tendons, **learned))
+    with pytest.warns(FalseConfidenceWarning, match=r"leave the tip unsure by .* mm, beside"):
+        motion_problem(small_scene([]), robot)
+    sure = replace(ROBOT, tendons=replace(ROBOT.tendons, learned_to=np.full(6, 2e-3)))
+    assert not unsure_numbers(sure)
+    vague = replace(robot, tendons=replace(robot.tendons, psd_moment=1.0))
+    assert not unsure_numbers(vague)

@@ -1,10 +1,14 @@
 """A small tendon robot for tests, and the same one for the simulator."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from glissando.errors import RobotFileError
 from glissando.io.robot_file import parse_robot
+from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.table import Table
+from glissando.model.tendons.replicate import Replicate
 from glissando.simulation import Rod, Tendon
 
 LENGTH, ENDS = 0.2, (0.1, 0.2)
@@ -47,6 +51,44 @@ def document(**tendons):
 def tendon_robot(**tendons):
     """The robot of that file."""
     return parse_robot(Table(document(**tendons), "pair.toml", RobotFileError))
+
+
+def with_replicates(robot, count, seed):
+    """A robot with replicates of its numbers, and the robots that these are, built by hand."""
+    rng, tendons, prior = np.random.default_rng(seed), robot.tendons, robot.prior
+    replicates, robots = [], []
+    for _ in range(count):
+        numbers = {
+            "radius": tendons.radius * np.exp(0.03 * rng.standard_normal(6)),
+            "angle": tendons.angle + 0.1 * rng.standard_normal(6),
+            "stiffness": tendons.stiffness * np.exp(0.2 * rng.standard_normal(6)),
+            "slack": 3e-4 * rng.standard_normal(6),
+            "play": 1e-4 * np.abs(rng.standard_normal(6)),
+            "softness": 2e-4 * np.exp(0.2 * rng.standard_normal()),
+        }
+        stiffness = prior.mechanics.stiffness * np.exp(0.1 * rng.standard_normal((2, 6)))
+        rest = np.tile(prior.rest_strain, (2, 1)) + 0.3 * rng.standard_normal((2, 6))
+        mount, frame = 0.01 * rng.standard_normal((2, 6))
+        replicates.append(
+            Replicate(
+                **numbers, section_stiffness=stiffness, rest_strain=rest, mount=mount, frame=frame
+            )
+        )
+        mechanics = replace(prior.mechanics, stiffness=stiffness)
+        marker = [
+            SensorParameter(name, name, ("tip",), value, np.zeros(6))
+            for name, value in (("mount", mount), ("frame", frame))
+        ]
+        robots.append(
+            replace(
+                robot,
+                tendons=replace(tendons, **numbers),
+                mechanics=mechanics,
+                prior=replace(prior, mechanics=mechanics, rest_strain=rest),
+                sensor_parameters=tuple(marker),
+            )
+        )
+    return replace(robot, tendons=replace(tendons, replicates=tuple(replicates))), robots
 
 
 def simulated(robot):

@@ -37,7 +37,7 @@ from glissando.planning.scene.motion_starts import (
 )
 from glissando.planning.scene.sampled_risk import sample_risk
 from glissando.planning.scene.scene import Scene
-from glissando.planning.scene.scene_checks import require_scene
+from glissando.planning.scene.scene_checks import require_scene, unsure_numbers
 from glissando.planning.scene.sensor_errors import SensorErrors, sensor_errors
 from glissando.planning.scene.tendon_body import tendon_body
 
@@ -127,7 +127,7 @@ def motion_problem(
 
     Warns:
         FalseConfidenceWarning: The robot's weight, which is left out, moves it by more than is
-            claimed, or what is unknown of a sensor is left out.
+            claimed, or what is unknown of a sensor or of learned tendons is left out.
     """
     require_scene(scene, robot)
     spacing = max(_SPACING * scene.robot_radius, robot.length / _PLACES)
@@ -139,6 +139,8 @@ def motion_problem(
     size = body.errors + sensed.std.size  # nothing but what the robot file states
     belief = ErrorBelief.unknown(size)
     warn_of_weight(robot, body.straight_std)
+    if unsure := unsure_numbers(robot):
+        warnings.warn(unsure, FalseConfidenceWarning, stacklevel=2)
     step = step or max(1.0, scene.horizon / _PIECES)
     space = motion_space(scene, step)
     return MotionProblem(scene, body, belief, space, senses, sensed)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
-from glissando.errors import GlissandoError
+from glissando.errors import FalseConfidenceWarning, GlissandoError
+from glissando.estimation.tendon_prediction import predict
 from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
 from glissando.planning.scene.scene import Scene
@@ -16,6 +19,8 @@ _ROUNDING = 1e-9
 _LEAST_RISK = 1e-3  # of which 4,000 samples hold a few
 _OFTENEST = 0.01  # s between two corrections
 _STRETCHED = 1.2  # of its length, how far a robot reaches at most
+_PULLED = 0.02  # of its length, how far tendons are pulled where nobody says
+_NOTICED = 0.3  # of the deviation that counts, from which on what is left out is said
 
 
 def require_scene(scene: Scene, robot: Robot) -> None:
@@ -47,6 +52,32 @@ def idle_obstacles(scene: Scene, robot: Robot) -> Iterator[str]:
                 f"Obstacle {number} is {away:.3g} m from the base of a robot of "
                 f"{robot.length:.3g} m, which never comes there: are its numbers metres?"
             )
+
+
+def unsure_numbers(robot: Robot) -> str:
+    """What the risk leaves out of how surely a robot's tendons were learned; empty if hardly any.
+
+    Args:
+        robot: The robot; its tip is looked at with each tendon pulled alone as far as in learning.
+    """
+    tendons = robot.tendons
+    if tendons is None or not (tendons.replicates or tendons.left_open):
+        return ""
+    reach = np.where(np.isfinite(tendons.learned_to), tendons.learned_to, _PULLED * robot.length)
+    time, tip = np.arange(float(len(tendons))), np.array([robot.length])
+    sure = replace(robot, tendons=replace(tendons, replicates=(), left_open=()))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FalseConfidenceWarning)  # which planning gives itself
+        std = [predict(each, time, np.diag(reach), tip).std_position for each in (robot, sure)]
+    whole, counted = (float(np.sqrt(np.mean(each**2))) for each in std)
+    left = float(np.sqrt(max(whole**2 - counted**2, 0.0)))
+    if left < _NOTICED * counted:
+        return ""
+    return (
+        f"The risk leaves out how surely the numbers of [tendons] were learned: they leave the tip "
+        f"unsure by {1e3 * left:.2g} mm, beside {1e3 * counted:.2g} mm that count, so hits may be "
+        f"more frequent than is stated. Learn from more motions, or state a larger psd_moment."
+    )
 
 
 def _base(robot: Robot) -> Array:
