@@ -193,6 +193,22 @@ def test_any_folder_without_a_log_is_a_recording(tmp_path, monkeypatch, capsys):
     assert "There is no recording folder" in capsys.readouterr().err
 
 
+def test_a_calibrated_recording_has_no_readings_of_a_frozen_tracker():
+    data, known = rigs.drawn(0, "bent")
+    half = data.coil_time.size // 2
+    data.coil[half:] = data.coil[half]
+    recording, robot = recording_of(data), rigs.robot(rigs.NODES)
+    outer = replace(recording.streams["coil"], name="outer")
+    both = replace(recording, streams={**recording.streams, "outer": outer})
+    own = recording_data(both, "coil")
+    result = Calibration(known, 1e-6 * np.eye(len(PARAMETERS)), "coil", np.inf)
+    made = calibrated(both, result, own, robot)
+    for name in ("coil", "outer"):
+        (read,), lost = made.readings([name], robot, made.span())
+        assert len(read) == pytest.approx(half, abs=0.1 * half)
+        assert lost[name]["repeated"] > 0.8 * half
+
+
 @pytest.mark.slow
 def test_a_calibrated_recording_can_be_another_one(folder, capsys):
     made = folder.parent / "made"

@@ -62,7 +62,8 @@ def calibrated(
     """The recording with what was found: times, arclengths and mount of the coil, in the world.
 
     Poses come to be readings of a coil, as noisy as they were, whose roll is not read. Other
-    streams in the coil's frame share its clock and come into the world with it.
+    streams in the coil's frame share its clock and come into the world with it. What a tracker that
+    is frozen repeats is no reading.
 
     Args:
         recording: The recording.
@@ -80,7 +81,7 @@ def calibrated(
         if stream.frame == own.frame != "world" and stream is not own:
             values = stream.rows.sensor.in_frame(stream.rows.values, rig.T_wt)
             rows = replace(stream.rows, time=rig.true_time(stream.rows.time), values=values)
-            streams[name] = replace(stream, rows=rows, frame="world")
+            streams[name] = replace(stream, rows=rows, frame="world", keep_repeats=False)
     left = recording.unknown_frames - {own.frame}
     return replace(recording, streams=streams, robot=robot, unknown_frames=left)
 

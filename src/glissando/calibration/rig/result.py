@@ -239,7 +239,8 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
         robot: The robot, whose ends bound the coil's arclength.
 
     Returns:
-        A recording of the coil at true times and arclengths with its mount. Readings while the
+        A recording of the coil at true times and arclengths with its mount; what it repeats of a
+        tracker that is frozen is left out when it is read. Readings while the
         slide was not recorded, or a millimetre or more off the robot, are left out; a fixed coil
         that is found ahead of the robot's end is mounted so far ahead of it. The tracker's
         other coils come along, at true times and where they are stated to be. Where the
@@ -251,11 +252,11 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
     rig, length = _in_frame(calibration, data), None if robot is None else robot.length
     name, channel = data.coil_name, rig.channel(data)
     rows, mount = _rows_of_coil(rig, data, length)
-    streams = {name: Stream(name, rows, mount=mount, keep_repeats=True, channel=channel)}
+    streams = {name: Stream(name, rows, mount=mount, channel=channel)}
     for other in data.others:
         rows = _rows_of(other, rig, data, length)
         if rows.time.size:
-            streams[other.name] = Stream(other.name, rows, keep_repeats=True, channel=other.channel)
+            streams[other.name] = Stream(other.name, rows, channel=other.channel)
     std = np.repeat(data.noise.mocap, 3)
     for name, b in data.bodies.items():
         rows = Rows("pose", b.time, np.full(b.time.size, b.arclength), b.poses, {})
