@@ -91,3 +91,11 @@ def test_neighbours_move_together(posterior):
 def test_what_is_not_known_together_is_a_sentence(posterior, place, time, words):
     with pytest.raises(OutsideGridError, match=words):
         posterior.joint(place, time)
+
+
+@pytest.mark.parametrize("number", [0.2, 2, -1])
+def test_a_place_that_was_not_asked_for_is_named(posterior, number):
+    joint = posterior.joint([0.1, 0.2], posterior.grid.time[3])
+    for pair in ((number, 0), (0, number)):
+        with pytest.raises(OutsideGridError, match=rf"Place {number} is none of the 2"):
+            joint.distance(*pair)

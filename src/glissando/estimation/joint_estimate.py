@@ -40,7 +40,16 @@ class JointEstimate(ShortRepr):
         Args:
             first: Number of the place in whose frame it is.
             second: Number of the other place; the covariance is in its own frame.
+
+        Raises:
+            OutsideGridError: A number is no place's.
         """
+        for number in (first, second):
+            if not isinstance(number, int | np.integer) or not 0 <= number < len(self.pose):
+                raise OutsideGridError(
+                    f"Place {number!r} is none of the {len(self.pose)} that were asked for; give "
+                    f"their numbers, from 0 on, in place of arclengths."
+                )
         pose = se3.inverse(self.pose[first]) @ self.pose[second]
         slope = np.concatenate([-se3.adjoint(se3.inverse(pose)), np.eye(6)], axis=1)
         pair = [first, second]
