@@ -201,6 +201,30 @@ def test_readings_of_a_touch_are_no_outliers_and_an_outlier_is_no_touch():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("time_scale", "step"), [(0.1, 0.1), (1.0, 1.0 / 30.0)])
+def test_online_the_readings_of_a_touch_are_believed_and_wrong_ones_are_not(time_scale, step):
+    """It comes and goes within 0.3 s and moves the tip by half the length."""
+    rng, smoother = (
+        np.random.default_rng(2),
+        FixedLagSmoother(replace(PRIOR, time_scale=time_scale), NODES, window=4),
+    )
+    off = []
+    for k in range(int(1.5 / step)):
+        now = k * step
+        bent = shape(np.interp(now, [0.4, 0.7, 1.0, 1.3], [0.0, 1.0, 1.0, 0.0]) * FORCE)
+        seen = coil(rng, bent, [now])
+        few = seen.select(slice(1, None, 3))
+        if k % 5 == 2:
+            few.values[-1, 1, 3] += 0.03
+        smoother.add(few)
+        found = smoother.advance(now)
+        off += [np.linalg.norm(found.position[-1] - bent.at(NODES).pose[-1, :3, 3])]
+    wrong = len(range(2, int(1.5 / step), 5))
+    assert smoother.dropped == {"CoilReadings": {"gated": wrong}}
+    assert max(off) < 0.025
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("online", [False, True])
 @pytest.mark.parametrize("share", [0.25, 1.0])
 def test_over_time_a_force_is_as_large_as_it_is_and_there_while_it_is(online, share):

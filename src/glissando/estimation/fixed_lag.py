@@ -58,8 +58,8 @@ class FixedLagSmoother:
     """A smoother over the last time nodes of a prior on fixed arclength nodes.
 
     A reading is refused when its innovation would come by chance once in 1 / `gate` times, unless
-    its stream has been refused for long; of an update half are at most, or five of few. One thread
-    at a time may use it.
+    its stream has been refused for long; of an update half are at most, or five of few. Where the
+    prior knows mechanics, none is that a touch explains. One thread at a time may use it.
     """
 
     def __init__(

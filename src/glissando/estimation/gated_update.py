@@ -12,7 +12,7 @@ from glissando.estimation.batch import estimate_in_passing
 from glissando.estimation.given import require_base
 from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.innovation_gate import InnovationGate
-from glissando.estimation.outliers import CHANCE
+from glissando.estimation.outliers import CHANCE, under_touches
 from glissando.estimation.reading_buffer import ReadingBuffer
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.estimation.window_parameters import NotLinearError
@@ -24,6 +24,7 @@ _CLOSE = 0.02  # standard deviations: where the last step missed by less, the ne
 _MISS = 0.05  # standard deviations by which a step may miss before it is followed by another
 _LONG, _BRIEF = 30, 10  # iterations of a start, with other shapes and without
 _SAVED = 400  # iterations that starts may take at once, and as many as updates after that
+_SUDDEN = 0.1  # s: how fast touches come
 _MOST = 5  # steps of a solution, and readings that any update may refuse
 
 
@@ -33,6 +34,7 @@ class GatedUpdate:
     def __init__(self, window: SlidingWindow, buffer: ReadingBuffer, gate: InnovationGate) -> None:
         self._window, self._buffer, self._gate = window, buffer, gate
         self._missed, self._spare = np.inf, _SAVED
+        self._touched = under_touches(window.prior, window.arclength, _SUDDEN)
 
     def first_changed(self, earliest: float) -> int:
         """The first node whose interval is to be linearised again for readings since `earliest`."""
@@ -82,7 +84,8 @@ class GatedUpdate:
 
         Where a wrong reading led, its neighbours look wrong: which one it is, is seen from where
         nodes were before. Of many readings no more than half are refused: where most disagree with
-        what is believed, as when a robot is touched, the belief is what is wrong.
+        what is believed, as when a robot moves as never before, the belief is what is wrong.
+        None is refused that a touch explains, where the prior knows mechanics.
 
         Args:
             first: The node.
@@ -98,8 +101,8 @@ class GatedUpdate:
         for again in range(most + 1):
             readings, wrong, broke = self.readings(first), None, None
             try:
-                self._solve(first, readings, _MOST)
-                wrong = self._most_wrong(fresh, first_look=not again) if fresh else None
+                self._missed = _solve(window, first, readings, _MOST)
+                wrong = self._most_wrong(window, fresh, first_look=not again) if fresh else None
                 if wrong is None or again == most:
                     return
             except (np.linalg.LinAlgError, UnobservableError) as error:
@@ -108,9 +111,12 @@ class GatedUpdate:
                 broke = error
             if not linear:
                 raise NotLinearError
-            window.points = before
-            self._solve(first, readings, 1)
-            wrong = self._most_wrong(fresh, first_look=False) or wrong
+            judge = window if broke else self._under_touches(first, readings)
+            if judge is not window and (wrong := self._most_wrong(judge, fresh)) is None:
+                return
+            judge.points = before
+            _solve(judge, first, readings, 1)
+            wrong = self._most_wrong(judge, fresh) or wrong
             if wrong is None:
                 raise broke or NotLinearError
             self._refuse(*wrong)
@@ -127,21 +133,28 @@ class GatedUpdate:
         self._refuse_all([r.select(slice(len(r) - fresh[r.label], None)) for r in held])
         fresh.clear()
 
-    def _solve(self, first: int, readings: HeldReadings, most: int) -> None:
-        """Linearise and solve from a node on until a step misses by little."""
-        for _ in range(most):
-            self._window.relinearize(first)
-            self._window.solve(first, readings)
-            self._missed = self._window.miss(first)
-            if self._missed < _MISS:
-                break
+    def _under_touches(self, first: int, readings: HeldReadings) -> SlidingWindow:
+        """The window solved as if something may touch the robot, or itself where that says nothing.
+
+        It does not where the prior knows no loads, or the solution breaks down.
+        """
+        window = self._window
+        if self._touched is window.prior:
+            return window
+        touched = window.copied()
+        touched.prior = self._touched
+        try:
+            _solve(touched, first, readings, _MOST)
+        except (np.linalg.LinAlgError, UnobservableError):
+            return window
+        return touched
 
     def _most_wrong(
-        self, fresh: Counter[str], *, first_look: bool
+        self, window: SlidingWindow, fresh: Counter[str], *, first_look: bool = False
     ) -> tuple[str, float, float] | None:
         """Stream, time and arclength of the new reading that fits least, if beyond belief."""
         worst, wrong = 1.0, None
-        for innovations in self._window.innovations(fresh):
+        for innovations in window.innovations(fresh):
             stream, places = innovations.stream, innovations.arclength.tolist()
             squares = innovations.nis.tolist(), innovations.dof
             if first_look:
@@ -160,3 +173,15 @@ class GatedUpdate:
         """Let go of a reading, one at a time as a wrong one makes its neighbours look wrong."""
         self._gate.strike(stream, arclength)
         self._buffer.discard(stream, time, arclength)
+
+
+def _solve(window: SlidingWindow, first: int, readings: HeldReadings, most: int) -> float:
+    """Linearise and solve from a node on until a step misses by little; by how much it does."""
+    missed = np.inf
+    for _ in range(most):
+        window.relinearize(first)
+        window.solve(first, readings)
+        missed = window.miss(first)
+        if missed < _MISS:
+            break
+    return missed

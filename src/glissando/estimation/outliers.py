@@ -117,7 +117,7 @@ def used_at_first(readings: Readings, gate: float | None) -> Mask:
     return ~spikes(readings)
 
 
-def under_touches(prior: Prior, arclength: Array) -> Prior:
+def under_touches(prior: Prior, arclength: Array, within: float = np.inf) -> Prior:
     """The prior that judges readings: if it knows mechanics, one of a robot that may be touched.
 
     Else all readings of a robot that something pushes aside for a while are outliers of a robot
@@ -126,11 +126,16 @@ def under_touches(prior: Prior, arclength: Array) -> Prior:
     Args:
         prior: The prior.
         arclength: Nodes (N,), m.
+        within: How fast touches come, s, where the prior's loads come more slowly.
     """
     if not isinstance(prior, MechanicalPrior):
         return prior
     force = bending_force(prior, arclength) ** 2 / float(arclength[-1])
-    return replace(prior, psd_load=prior.psd_load + np.repeat([force, 0.0], 3))
+    return replace(
+        prior,
+        psd_load=prior.psd_load + np.repeat([force, 0.0], 3),
+        time_scale=min(prior.time_scale, within),
+    )
 
 
 def judged(
