@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, ClassVar, Protocol, Self
+from dataclasses import replace
+from typing import Any, ClassVar, Protocol, Self, cast
 
 import numpy as np
 
@@ -23,6 +24,7 @@ _BEFORE = 1e-6  # of an interval, at which a place lies just before a joint
 _KERNELS = (  # of any prior
     "block_tridiagonal", "normal_equations", "process", "rolls", "se3", "sensors", "state",
 )  # fmt: skip
+_STRAIN_DENSITIES = "psd_strain_arclength", "psd_strain_time"
 _STIFF = 10.0  # times softer than a prior must be to be worth a start of its own
 
 
@@ -118,6 +120,21 @@ def is_soft(psd: Array, soft: Array) -> bool:
 def transversely_isotropic(*densities: Array) -> bool:
     """Whether densities (…, 6) are the same across the body's z in every direction."""
     return all(np.array_equal(each[..., ::3], each[..., 1::3]) for each in densities)
+
+
+def telling_axes(prior: Prior) -> Prior:
+    """The prior, which tells x from y by a last digit: errors keep their axes. Source: (35).
+
+    For readings of strain along the body's axes. An error that is turned back by a roll has the
+    weights of strain that turned with it, and strain that is read does not turn.
+    """
+    apart = {}
+    for name in _STRAIN_DENSITIES:
+        if hasattr(prior, name):
+            apart[name] = density = np.array(getattr(prior, name))
+            density[..., 4] = np.nextafter(density[..., 4], np.inf)
+    told: Prior = replace(cast(Any, prior), **apart) if apart else prior
+    return told
 
 
 def both_sides(arclength: Array, joints: Array) -> Array:
