@@ -15,6 +15,7 @@ from glissando import (
     estimate,
     estimate_static,
 )
+from glissando.errors import SensorError
 
 LENGTH = 0.5
 NODES = np.linspace(0.0, LENGTH, 5)
@@ -93,3 +94,10 @@ def test_static_shapes_that_wind_at_random_are_not_twisted_either():
     shapes = estimate_static(winding, NODES, [readings])
     torsion = shapes.at(NODES, np.arange(count)[:, None]).strain[..., TORSION]
     assert np.sqrt(np.mean(torsion**2)) < 0.05
+
+
+def test_microstrain_in_the_place_of_strain_is_refused_in_a_sentence():
+    time, place = places(TIME)
+    of = fibre(time, place, bending(time, place))
+    with pytest.raises(SensorError, match=r"core 0 in row \d+ is -?\d+.*1e-6 times microstrain"):
+        replace(of, values=1e6 * of.values)

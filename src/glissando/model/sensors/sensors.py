@@ -21,6 +21,7 @@ from glissando.model.sensors.tendons import TendonReadings as TendonReadings
 from glissando.model.state import DOF, STRAIN, State
 
 _WIDEST, _TURN = 0.05, 7.0  # m of a core's radius, rad of its angle
+_LONGEST = 1.0  # strain of a core
 _POSITION = dict.fromkeys(("x", "y", "z"), "m")
 _QUATERNION = dict.fromkeys(("qw", "qx", "qy", "qz"), "1")
 
@@ -195,6 +196,15 @@ class FbgReadings(Readings, kind="fbg"):
     tells_axes: ClassVar[bool] = True
     rows: ClassVar[int] = 1  # in a file: one standard deviation for all cores
     settings: ClassVar[Mapping[str, str]] = {"core_radius": "m", "core_angle": "rad"}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(beyond := np.argwhere(np.abs(self.values) > _LONGEST)):
+            row, core = beyond[0]
+            raise SensorError(
+                f"{self.label}: strain of core {core} in row {row} is {self.values[row, core]:g}, "
+                f"and no fibre doubles its length; give strain, 1e-6 times microstrain."
+            )
 
     @classmethod
     def value_columns(cls, settings: Mapping[str, Array]) -> Mapping[str, str]:
