@@ -141,8 +141,7 @@ class GatedUpdate:
         window = self._window
         if self._touched is window.prior:
             return window
-        touched = window.copied()
-        touched.prior = self._touched
+        touched = window.with_prior(self._touched)
         try:
             _solve(touched, first, readings, _MOST)
         except (np.linalg.LinAlgError, UnobservableError):

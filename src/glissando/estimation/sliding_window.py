@@ -36,7 +36,7 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid, Index, reads_from
-from glissando.model.priors.prior import Prior, load_kernels, telling_axes
+from glissando.model.priors.prior import Prior, load_kernels, without_roll_transport
 from glissando.model.priors.white_noise import WhiteNoisePrior
 from glissando.model.sensors.compiled_readings import is_compiled
 from glissando.model.sensors.parameter_process import EstimatedParameters
@@ -64,7 +64,7 @@ class SlidingWindow:
         summed = ["white_noise"] if type(prior) is WhiteNoisePrior else []
         load_kernels(prior, "static_steps", "window", *summed)
         self.prior, self.arclength = prior, arclength
-        self._beside = prior  # the readings that came
+        self._factor_prior = prior  # without the transport of rolls beside some readings
         self.sensor_parameters = tuple(p for p in sensor_parameters if not p.known)
         self.before: float | None = None
         self.lone = 1.0
@@ -164,6 +164,12 @@ class SlidingWindow:
         out.dating = self.dating and self.dating.copied()
         return out
 
+    def with_prior(self, prior: Prior) -> SlidingWindow:
+        """A copy whose intervals, as they are linearised from now on, have another prior."""
+        out = self.copied()
+        out.prior = out._factor_prior = prior
+        return out
+
     def _node(self, time: float, state: State, parameters: Array) -> Nodes:
         numbers = state.numbers + self._process.size
         still, own = np.zeros((1, numbers)), np.zeros((1, state.pose.shape[0], state.dof))
@@ -213,7 +219,7 @@ class SlidingWindow:
         """Whether readings may come as rows, with the streams of others."""
         fits = type(self.prior) is WhiteNoisePrior and self.dating is None
         known = all(readings.name not in p.streams for p in self.sensor_parameters)
-        return fits and known and is_compiled(readings) and not readings.tells_axes
+        return fits and known and is_compiled(readings) and not readings.resolves_axes
 
     def solve(self, first: int, readings: HeldReadings) -> None:
         """Linearise all that begins at the nodes from `first` on, eliminate, find every step.
@@ -246,28 +252,35 @@ class SlidingWindow:
         nodes, grid = self.nodes.take(slice(first, None)), self.grid(first)
         builder = self._system.builder(first)
         self._terms, self._first, self._held = [], first, readings
-        self._hear(readings.streams)
-        if type(self._beside) is WhiteNoisePrior and self.dating is None:
-            densities, rows = (self._along, self._beside.time_densities(grid.time)), readings.which
+        self._keep_axes(readings.streams)
+        if type(self._factor_prior) is WhiteNoisePrior and self.dating is None:
+            densities, rows = (
+                (self._along, self._factor_prior.time_densities(grid.time)),
+                readings.which,
+            )
             memory = *readings.rows.memory, rows
-            linearized = self._beside.accumulate(grid, nodes.state, densities, memory, builder.sums)
+            linearized = self._factor_prior.accumulate(
+                grid, nodes.state, densities, memory, builder.sums
+            )
             if rows.size:
                 at, slopes, *terms, weights = linearized
                 batch = Factors(at, slice(0, DOF), slopes, Residuals(*terms))
                 self._terms.append(LinearizedReadings(None, rows, batch, weights))
         else:
-            for batch in self._beside.factors(grid, nodes.state, nodes.state, slice(0, len(nodes))):
+            for batch in self._factor_prior.factors(
+                grid, nodes.state, nodes.state, slice(0, len(nodes))
+            ):
                 builder.accumulate(self._moving(batch, nodes))
         if readings.streams or self._process.size:
             self._add_streams(readings.streams, grid, nodes, builder)
         return builder
 
-    def _hear(self, streams: Sequence[Readings]) -> None:
-        """From streams on that tell the body's axes, take the prior as `telling_axes`."""
-        if self._beside is self.prior and any(r.tells_axes for r in streams):
-            self._beside = telling_axes(self.prior)
-            if type(self._beside) is WhiteNoisePrior:
-                self._along = self._beside.arclength_densities(self.arclength)
+    def _keep_axes(self, streams: Sequence[Readings]) -> None:
+        """From streams on that resolve the body's axes, errors of the prior keep theirs."""
+        if self._factor_prior is self.prior and any(r.resolves_axes for r in streams):
+            self._factor_prior = without_roll_transport(self.prior)
+            if type(self._factor_prior) is WhiteNoisePrior:
+                self._along = self._factor_prior.arclength_densities(self.arclength)
 
     def _add_streams(
         self,

@@ -137,9 +137,9 @@ def _accumulate(
 ) -> list[Residuals]:
     """Sum all factors at a state, with weights from another; their residuals."""
     grid, terms = located.grid, list[Residuals]()
-    beside = located.heard_by(prior)
+    prior = located.factor_prior(prior)
     for times in located.blocks:
-        for batch in beside.factors(grid, *states, times):
+        for batch in prior.factors(grid, *states, times):
             whiteners = None if fixed_weights is None else fixed_weights[len(terms)].sqrt_info
             batch = _with_weights(batch, whiteners)
             builder.accumulate(batch)

@@ -12,7 +12,7 @@ from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, Index, reads_from
 from glissando.model.interpolation import Points, sort_points
-from glissando.model.priors.prior import Prior, telling_axes
+from glissando.model.priors.prior import Prior, without_roll_transport
 from glissando.model.sensors.parameter_process import EstimatedParameters, ParameterValues
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
@@ -73,10 +73,10 @@ class LocatedReadings:
         """Whether a robust loss weights any reading by its residual."""
         return any(stream.loss is not None for stream in self.streams)
 
-    def heard_by(self, prior: Prior) -> Prior:
-        """The prior as it is beside these readings: `telling_axes` where they do."""
-        tell = any(stream.tells_axes for stream in self.streams)
-        return telling_axes(prior) if tell else prior
+    def factor_prior(self, prior: Prior) -> Prior:
+        """The prior whose factors go with these readings, which may resolve the body's axes."""
+        tell = any(stream.resolves_axes for stream in self.streams)
+        return without_roll_transport(prior) if tell else prior
 
     def moved(self, step: Array) -> LocatedReadings:
         """The readings after a step (K, E) of the sensor parameters, located anew if they move."""

@@ -143,7 +143,7 @@ def static_factors(prior: Prior, located: LocatedReadings, state: State) -> Iter
     Raises:
         SensorError: A sensor reads a velocity.
     """
-    yield from located.heard_by(prior).static_factors(located.grid, state)
+    yield from located.factor_prior(prior).static_factors(located.grid, state)
     for stream, _, batch in measurement_factors(prior, located, state, state):
         if batch.jacobian[..., STATIC_DOF:].any():
             raise SensorError(

@@ -122,11 +122,11 @@ def transversely_isotropic(*densities: Array) -> bool:
     return all(np.array_equal(each[..., ::3], each[..., 1::3]) for each in densities)
 
 
-def telling_axes(prior: Prior) -> Prior:
-    """The prior, which tells x from y by a last digit: errors keep their axes. Source: (35).
+def without_roll_transport(prior: Prior) -> Prior:
+    """The prior with densities that differ in x and y by a last digit. Source: (35).
 
-    For readings of strain along the body's axes. An error that is turned back by a roll has the
-    weights of strain that turned with it, and strain that is read does not turn.
+    Its errors keep their axes, as they have to beside readings of strain along the body's axes: an
+    error that is turned back by a roll counts strain as turned with it, and what is read does not.
     """
     apart = {}
     for name in _STRAIN_DENSITIES:

@@ -75,7 +75,7 @@ class Readings(ShortRepr):
         mounted: Declares whether `mount` says where it sits; others have settings of their own.
         fixes_base: Declares whether readings fix the robot in the world.
         tracker: Declares a tracker: it may be truth, and repeated rows are one reading twice.
-        tells_axes: Declares whether it tells strain along one axis of the body from another.
+        resolves_axes: Declares whether it resolves strain along the axes of the cross-section.
 
     Raises:
         SensorError: Shapes differ or a value is not finite.
@@ -104,7 +104,7 @@ class Readings(ShortRepr):
     per_reading: ClassVar[tuple[str, ...]] = ()
     fixes_base: ClassVar[bool] = False
     tracker: ClassVar[bool] = False
-    tells_axes: ClassVar[bool] = False
+    resolves_axes: ClassVar[bool] = False
     mounted: ClassVar[bool] = True
     spans: ClassVar[bool] = False
     accelerates: ClassVar[bool] = False

@@ -171,7 +171,7 @@ class StrainReadings(CompiledReadings, kind="strain"):
     """All six strains of the cross-section: `values` (M, 6), [linear, angular]. Source: (17)."""
 
     mounted: ClassVar[bool] = False
-    tells_axes: ClassVar[bool] = True
+    resolves_axes: ClassVar[bool] = True
     sensor: ClassVar[int] = kernels.STRAIN
     rows: ClassVar[int] = 6
     columns: ClassVar[Mapping[str, str]] = {
@@ -193,7 +193,7 @@ class FbgReadings(Readings, kind="fbg"):
     core_angle: Array
 
     mounted: ClassVar[bool] = False
-    tells_axes: ClassVar[bool] = True
+    resolves_axes: ClassVar[bool] = True
     rows: ClassVar[int] = 1  # in a file: one standard deviation for all cores
     settings: ClassVar[Mapping[str, str]] = {"core_radius": "m", "core_angle": "rad"}
 
