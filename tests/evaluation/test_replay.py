@@ -59,7 +59,7 @@ def some_readings(rng, kind, count):
     width = {**three, "strain": 6, "fbg": 2, "tendon": 2}.get(kind, 0)
     values = pose if kind in ("pose", "coil") else pose[:, :3, :3]
     if width:
-        values = rng.standard_normal((count, width))
+        values = rng.uniform(-1, 1, (count, width))
     pair = np.array([1e-4, 2e-4])
     extra = {
         "fbg": {"core_radius": pair, "core_angle": pair},
