@@ -235,10 +235,13 @@ def _left_open(model: TendonModel, numbers: Numbers, data: TendonData) -> list[N
     info, _ = _normal_equations(model, numbers, data, rows, (error, shape))
     ways = np.linalg.solve(info, np.diag(1.0 / model.std))
     few = _thinned(np.arange(len(rows)), _SHAPES)
-    at = data.displacement, rows[few], shape.strain[few]
-    ends = [
-        [model.body(numbers + _NUDGE * step, *at).ravel() for step in (way, -way)] for way in ways.T
-    ]
+
+    def body(moved: Numbers) -> Array:
+        """Positions where pieces meet, in the robot's own frame, in a row."""
+        pulled = model.reached(moved, data.displacement)[rows[few]]
+        return model.shapes(moved, pulled, shape.strain[few]).pose()[..., :3, 3].ravel()
+
+    ends = [[body(numbers + _NUDGE * step) for step in (way, -way)] for way in ways.T]
     moved = np.array([(ahead - behind) / (2.0 * _NUDGE) for ahead, behind in ends])
     across, size, _ = np.linalg.svd(moved, full_matrices=False)
     share = np.cumsum(size**2) / np.sum(size**2)

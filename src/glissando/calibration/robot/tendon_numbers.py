@@ -163,33 +163,22 @@ class TendonModel:
         """Displacements (M, T), in the order of time, less the play."""
         return self.tendons(numbers).effective(displacement)
 
-    def tip(
-        self, numbers: Numbers, pulled: Array, start: Array | None = None
-    ) -> tuple[Array, Equilibrium]:
-        """Positions (M, 3) of the marker in the tracker's frame, and the shapes.
+    def shapes(self, numbers: Numbers, pulled: Array, start: Array | None = None) -> Equilibrium:
+        """The shapes (M,) of the robot that the numbers describe.
 
         Args:
             numbers: The numbers.
             pulled: Displacements (M, T) less the play.
             start: Strains (M, P, 6) near those of the shapes.
         """
-        shape = equilibrium(self.rod_of(numbers), displacement=pulled, start=start)
+        return equilibrium(self.rod_of(numbers), displacement=pulled, start=start)
+
+    def tip(
+        self, numbers: Numbers, pulled: Array, start: Array | None = None
+    ) -> tuple[Array, Equilibrium]:
+        """Positions (M, 3) of the marker in the tracker's frame, and the `shapes`."""
+        shape = self.shapes(numbers, pulled, start)
         return self._seen(numbers, shape.pose()[:, -1]), shape
-
-    def body(
-        self, numbers: Numbers, displacement: Array, rows: NDArray[np.intp], start: Array
-    ) -> Array:
-        """Positions (R, P+1, 3) where pieces meet, in the robot's own frame.
-
-        Args:
-            numbers: The numbers.
-            displacement: Displacements (M, T) of all rows, play included.
-            rows: Which rows.
-            start: Strains (R, P, 6) near those of the shapes.
-        """
-        pulled = self.reached(numbers, displacement)[rows]
-        shape = equilibrium(self.rod_of(numbers), displacement=pulled, start=start)
-        return shape.pose()[..., :3, 3]
 
     def slope(
         self, numbers: Numbers, displacement: Array, rows: NDArray[np.intp], at: Equilibrium
