@@ -17,7 +17,6 @@ import numpy as np
 from glissando._kernels import normal_equations as kernels
 from glissando._kernels import window as window_kernels
 from glissando._kernels.arrays import whole
-from glissando.estimation.channels import place_in_channel
 from glissando.estimation.delay_dating import DelayDating
 from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.linearized_readings import (
@@ -29,22 +28,18 @@ from glissando.estimation.posterior import Posterior
 from glissando.estimation.solve_report import SolveReport
 from glissando.estimation.state_estimate import StateEstimate
 from glissando.estimation.transported import has_rolled, transport, transported
+from glissando.estimation.window_factors import WindowFactors
 from glissando.estimation.window_nodes import Nodes
 from glissando.estimation.window_parameters import WindowParameters
 from glissando.estimation.window_system import WindowSystem
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
-from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid, Index, reads_from
-from glissando.model.priors.prior import Prior, load_kernels, without_roll_transport
-from glissando.model.priors.white_noise import WhiteNoisePrior
-from glissando.model.sensors.compiled_readings import is_compiled
+from glissando.model.priors.prior import Prior
 from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, State
-from glissando.solver.located_readings import locate
-from glissando.solver.measurement_factors import measurement_factors
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder, kernel_arguments
 from glissando.solver.outcome import Outcome
 
@@ -55,34 +50,37 @@ class SlidingWindow:
     Attributes:
         parameters: What is known of those.
         lone: What the first node stands for until there is another, s.
-        dating: What dates the readings of streams with an estimated delay, if there are any.
     """
 
     def __init__(
         self, prior: Prior, arclength: Array, sensor_parameters: Sequence[SensorParameter] = ()
     ) -> None:
-        summed = ["white_noise"] if type(prior) is WhiteNoisePrior else []
-        load_kernels(prior, "static_steps", "window", *summed)
-        self.prior, self.arclength = prior, arclength
-        self._factor_prior = prior  # without the transport of rolls beside some readings
+        self.arclength = arclength
         self.sensor_parameters = tuple(p for p in sensor_parameters if not p.known)
+        self._factors = WindowFactors(prior, arclength, self.sensor_parameters)
         self.before: float | None = None
         self.lone = 1.0
-        self.dating: DelayDating | None = None
         self._grid = Grid(arclength, [0.0])
         self._process = EstimatedParameters(self._grid, self.sensor_parameters)
         self.parameters = WindowParameters(self._process)
         self._root = np.zeros((0, 0))  # its square is the covariance of the newest step
-        self._terms: list[LinearizedReadings] = []
         self._rng: np.random.Generator | None = None  # of noise, where it is asked for
-        if type(prior) is WhiteNoisePrior:
-            self._along = prior.arclength_densities(arclength)
         self._first = 0
+
+    @property
+    def prior(self) -> Prior:
+        """What is believed of the motion."""
+        return self._factors.prior
+
+    @property
+    def dating(self) -> DelayDating | None:
+        """What dates the readings of streams with an estimated delay, if there are any."""
+        return self._factors.dating
 
     def date_by(self, others: SlidingWindow) -> None:
         """Date delayed streams by the motion of another window, see `DelayDating`."""
         others._rng = np.random.default_rng(0)
-        self.dating = DelayDating(others, self._process)
+        self._factors.dating = DelayDating(others, self._process)
 
     def begin(self, time: float, state: State) -> None:
         """Start with one node, linearised at `state` (N,); of before, keep sensor parameters."""
@@ -159,15 +157,13 @@ class SlidingWindow:
 
     def copied(self) -> SlidingWindow:
         """The same window, to go on with without a change to this one."""
-        out = copy(self)
-        out._system = self._system.copied()
-        out.dating = self.dating and self.dating.copied()
-        return out
+        return self.with_prior(self.prior)
 
     def with_prior(self, prior: Prior) -> SlidingWindow:
         """A copy whose intervals, as they are linearised from now on, have another prior."""
-        out = self.copied()
-        out.prior = out._factor_prior = prior
+        out = copy(self)
+        out._system, out._factors = self._system.copied(), self._factors.with_prior(prior)
+        out._factors.dating = self.dating and self.dating.copied()
         return out
 
     def _node(self, time: float, state: State, parameters: Array) -> Nodes:
@@ -217,9 +213,7 @@ class SlidingWindow:
 
     def takes_as_row(self, readings: Readings) -> bool:
         """Whether readings may come as rows, with the streams of others."""
-        fits = type(self.prior) is WhiteNoisePrior and self.dating is None
-        known = all(readings.name not in p.streams for p in self.sensor_parameters)
-        return fits and known and is_compiled(readings) and not readings.resolves_axes
+        return self._factors.takes_as_row(readings)
 
     def solve(self, first: int, readings: HeldReadings) -> None:
         """Linearise all that begins at the nodes from `first` on, eliminate, find every step.
@@ -234,7 +228,9 @@ class SlidingWindow:
         if self.dating is not None and not first:
             self.dating.note(sums)
         if self._rng is not None:
-            noise = sums_of_noise(self._terms, self.layout, len(self.nodes) - first, self._rng)
+            noise = sums_of_noise(
+                self._factors.terms, self.layout, len(self.nodes) - first, self._rng
+            )
             self._noise = self._system.respond(first, noise)
 
     @property
@@ -250,64 +246,9 @@ class SlidingWindow:
             free, longest = self._fixed(first), self.longest_delay
             self.nodes = self.dating.see(self.nodes, first, free, longest)
         nodes, grid = self.nodes.take(slice(first, None)), self.grid(first)
-        builder = self._system.builder(first)
-        self._terms, self._first, self._held = [], first, readings
-        self._keep_axes(readings.streams)
-        if type(self._factor_prior) is WhiteNoisePrior and self.dating is None:
-            densities, rows = (
-                (self._along, self._factor_prior.time_densities(grid.time)),
-                readings.which,
-            )
-            memory = *readings.rows.memory, rows
-            linearized = self._factor_prior.accumulate(
-                grid, nodes.state, densities, memory, builder.sums
-            )
-            if rows.size:
-                at, slopes, *terms, weights = linearized
-                batch = Factors(at, slice(0, DOF), slopes, Residuals(*terms))
-                self._terms.append(LinearizedReadings(None, rows, batch, weights))
-        else:
-            for batch in self._factor_prior.factors(
-                grid, nodes.state, nodes.state, slice(0, len(nodes))
-            ):
-                builder.accumulate(self._moving(batch, nodes))
-        if readings.streams or self._process.size:
-            self._add_streams(readings.streams, grid, nodes, builder)
+        builder, self._first = self._system.builder(first), first
+        self._factors.add(nodes, grid, readings, builder)
         return builder
-
-    def _keep_axes(self, streams: Sequence[Readings]) -> None:
-        """From streams on that resolve the body's axes, errors of the prior keep theirs."""
-        if self._factor_prior is self.prior and any(r.resolves_axes for r in streams):
-            self._factor_prior = without_roll_transport(self.prior)
-            if type(self._factor_prior) is WhiteNoisePrior:
-                self._along = self._factor_prior.arclength_densities(self.arclength)
-
-    def _add_streams(
-        self,
-        streams: Sequence[Readings],
-        grid: Grid,
-        nodes: Nodes,
-        builder: NormalEquationsBuilder,
-    ) -> None:
-        """Add the streams that do not come as rows, and the drift of the sensor parameters."""
-        known = self.sensor_parameters, nodes.parameters
-        placed = [place_in_channel(r, self.prior, grid, nodes.state) for r in streams]  # (M8)
-        motion = None if self.dating is None else self.dating.motion
-        located = replace(locate(grid, placed, *known, keep_all=True), motion=motion)
-        factors = measurement_factors(self.prior, located, nodes.state, nodes.state)
-        for stream, rows, batch in factors:
-            if self.dating is not None:
-                self.dating.see_slopes(streams[stream].name, batch)
-            moving = self._moving(batch, nodes)
-            weights = moving.terms.robust_weights()
-            builder.accumulate(moving, weights)
-            self._terms.append(LinearizedReadings(streams[stream], rows, moving, weights))
-        if self._process.size:
-            builder.accumulate_drift(*located.parameters.process.drift(nodes.parameters))
-
-    def _moving(self, factors: Factors, nodes: Nodes) -> Factors:
-        """Factors of a motion that moves with the delays, if there are any."""
-        return factors if self.dating is None else self.dating.moving(factors, nodes)
 
     def miss(self, first: int) -> float:
         """How far the last step may have missed, in standard deviations of the newest poses.
@@ -323,10 +264,11 @@ class SlidingWindow:
 
     def innovations(self, fresh: Mapping[str, int]) -> Iterator[Innovations]:
         """Squared innovations of each stream's last `fresh` readings, each against all others."""
-        for terms in self._terms:
-            which = terms.last(fresh, self._held)
+        held = self._factors.held
+        for terms in self._factors.terms:
+            which = terms.last(fresh, held)
             if which.size:
-                yield from terms.innovations(which, self._squared(terms, which), self._held)
+                yield from terms.innovations(which, self._squared(terms, which), held)
 
     def _squared(self, terms: LinearizedReadings, which: Index) -> Array:
         """Squared innovations of `which` readings of a batch."""

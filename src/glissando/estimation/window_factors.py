@@ -1,0 +1,118 @@
+"""Factors of a window's intervals, linearised where its nodes are and summed. Source: (19)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+
+from glissando.estimation.channels import place_in_channel
+from glissando.estimation.delay_dating import DelayDating
+from glissando.estimation.held_readings import HeldReadings
+from glissando.estimation.linearized_readings import LinearizedReadings
+from glissando.estimation.window_nodes import Nodes
+from glissando.geometry.se3 import Array
+from glissando.model.factors import Factors, Residuals
+from glissando.model.grid import Grid
+from glissando.model.priors.prior import Prior, load_kernels, without_roll_transport
+from glissando.model.priors.white_noise import WhiteNoisePrior
+from glissando.model.sensors.compiled_readings import is_compiled
+from glissando.model.sensors.parameters import SensorParameter
+from glissando.model.sensors.readings import Readings
+from glissando.model.state import DOF
+from glissando.solver.located_readings import locate
+from glissando.solver.measurement_factors import measurement_factors
+from glissando.solver.normal_equations import NormalEquationsBuilder
+
+
+class WindowFactors:
+    """The factors of a prior and of readings with uncertain `parameters` of their sensors.
+
+    Attributes:
+        prior: What is believed of the motion.
+        dating: What dates the readings of streams with an estimated delay, if there are any.
+        held: The readings that were summed last.
+        terms: These as they were linearised.
+    """
+
+    held: HeldReadings
+
+    def __init__(
+        self, prior: Prior, arclength: Array, parameters: Sequence[SensorParameter]
+    ) -> None:
+        summed = ["white_noise"] if type(prior) is WhiteNoisePrior else []
+        load_kernels(prior, "static_steps", "window", *summed)
+        self.prior, self._arclength, self._parameters = prior, arclength, tuple(parameters)
+        self._believed = prior  # without the transport of rolls beside some readings
+        self.dating: DelayDating | None = None
+        self.terms: list[LinearizedReadings] = []
+        if type(prior) is WhiteNoisePrior:
+            self._along = prior.arclength_densities(arclength)
+
+    def with_prior(self, prior: Prior) -> WindowFactors:
+        """The same with another prior."""
+        out = copy(self)
+        if prior is not self.prior:
+            out.prior = out._believed = prior
+        return out
+
+    def takes_as_row(self, readings: Readings) -> bool:
+        """Whether readings may come as rows, with the streams of others."""
+        fits = type(self.prior) is WhiteNoisePrior and self.dating is None
+        known = all(readings.name not in p.streams for p in self._parameters)
+        return fits and known and is_compiled(readings) and not readings.resolves_axes
+
+    def add(
+        self, nodes: Nodes, grid: Grid, readings: HeldReadings, builder: NormalEquationsBuilder
+    ) -> None:
+        """Linearise the intervals of nodes on a grid and add their factors up."""
+        self.terms, self.held = [], readings
+        self._keep_axes(readings.streams)
+        prior, state = self._believed, nodes.state
+        if type(prior) is WhiteNoisePrior and self.dating is None:
+            densities, rows = (self._along, prior.time_densities(grid.time)), readings.which
+            memory = *readings.rows.memory, rows
+            linearized = prior.accumulate(grid, state, densities, memory, builder.sums)
+            if rows.size:
+                at, slopes, *terms, weights = linearized
+                batch = Factors(at, slice(0, DOF), slopes, Residuals(*terms))
+                self.terms.append(LinearizedReadings(None, rows, batch, weights))
+        else:
+            for batch in prior.factors(grid, state, state, slice(0, len(nodes))):
+                builder.accumulate(self._moving(batch, nodes))
+        if readings.streams or self._parameters:
+            self._add_streams(readings.streams, grid, nodes, builder)
+
+    def _keep_axes(self, streams: Sequence[Readings]) -> None:
+        """From streams on that resolve the body's axes, errors of the prior keep theirs."""
+        if self._believed is self.prior and any(r.resolves_axes for r in streams):
+            self._believed = without_roll_transport(self.prior)
+            if type(self._believed) is WhiteNoisePrior:
+                self._along = self._believed.arclength_densities(self._arclength)
+
+    def _add_streams(
+        self,
+        streams: Sequence[Readings],
+        grid: Grid,
+        nodes: Nodes,
+        builder: NormalEquationsBuilder,
+    ) -> None:
+        """Add the streams that do not come as rows, and the drift of the sensor parameters."""
+        known = self._parameters, nodes.parameters
+        placed = [place_in_channel(r, self.prior, grid, nodes.state) for r in streams]  # (M8)
+        motion = None if self.dating is None else self.dating.motion
+        located = replace(locate(grid, placed, *known, keep_all=True), motion=motion)
+        factors = measurement_factors(self.prior, located, nodes.state, nodes.state)
+        for stream, rows, batch in factors:
+            if self.dating is not None:
+                self.dating.see_slopes(streams[stream].name, batch)
+            moving = self._moving(batch, nodes)
+            weights = moving.terms.robust_weights()
+            builder.accumulate(moving, weights)
+            self.terms.append(LinearizedReadings(streams[stream], rows, moving, weights))
+        if self._parameters:
+            builder.accumulate_drift(*located.parameters.process.drift(nodes.parameters))
+
+    def _moving(self, factors: Factors, nodes: Nodes) -> Factors:
+        """Factors of a motion that moves with the delays, if there are any."""
+        return factors if self.dating is None else self.dating.moving(factors, nodes)
