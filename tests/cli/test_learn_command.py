@@ -1,6 +1,5 @@
 """`glissando learn`: a robot file from a recording, mistakes as one sentence."""
 
-import argparse
 import json
 import shutil
 import subprocess
@@ -12,24 +11,20 @@ import numpy as np
 import pytest
 
 from command_line import run
-from glissando import GlissandoError, load_robot
+from glissando import load_robot
 from glissando.calibration.robot import workers
 from glissando.calibration.robot.case import RecordingCase
 from glissando.calibration.robot.hyperparameters import Parameter, moved
 from glissando.calibration.robot.learn import End, Learned
 from glissando.calibration.robot.predictive import Score
 from glissando.cli import learn as learn_command
-from glissando.cli import learn_judgement, learn_tendons, outputs
-from glissando.cli.console import truth_cells
+from glissando.cli import learn_tendons, outputs
 from glissando.cli.learn_report import _cells, as_json
-from glissando.evaluation.run import run_estimate
 from glissando.io.recording_folder import load_recording
-from glissando.io.shipped_robots import robot_file
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.tendons.replicate import TIP
-from learn_drawn import same_process
+from learn_drawn import same_process, write_arc
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "closed_form_motion.py"
 WINDOW = ["--window", 0, 1]
 
 
@@ -40,27 +35,7 @@ def in_process(monkeypatch):
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """A recording whose streams leave their noise to the robot file, and a robot on few nodes."""
-    folder = tmp_path_factory.mktemp("recordings") / "arc"
-    subprocess.run([sys.executable, EXAMPLE, folder], check=True, capture_output=True)
-    text = (folder / "recording.toml").read_text()
-    kept = [line for line in text.splitlines() if not line.startswith("std = ")]
-    (folder / "recording.toml").write_text("\n".join(kept))
-    robot = robot_file("tdcr466").read_text()
-    for old, new in (("arclength_nodes = 5", "arclength_nodes = 3"), ("= 30.0", "= 5.0")):
-        assert old in robot
-        robot = robot.replace(old, new)
-    (folder / "few.toml").write_text(robot)
-    return folder
-
-
-def unmarked(recording, tmp_path):
-    """A copy in which no stream is marked as truth."""
-    folder = tmp_path / "unmarked"
-    shutil.copytree(recording, folder)
-    text = (folder / "recording.toml").read_text()
-    (folder / "recording.toml").write_text(text.replace("truth = true", ""))
-    return folder
+    return write_arc(tmp_path_factory.mktemp("recordings") / "arc")
 
 
 @pytest.mark.slow
@@ -147,24 +122,6 @@ def test_truth_in_millimetres_is_refused_before_anything_is_learned(
     assert run("learn", folder, *options, *allowed) == 0
 
 
-def test_what_was_learned_stays_where_held_out_truth_cannot_be_judged(
-    recording, tmp_path, capsys, in_process, monkeypatch
-):
-    def breaks(*given, **more):
-        raise GlissandoError("It cannot be judged.")
-
-    monkeypatch.setattr(learn_judgement, "run_estimate", breaks)
-    out = tmp_path / "out.toml"
-    options = ["--robot", recording / "few.toml", "--out", out, *WINDOW, "--steps", 1]
-    more = ["--truth", "truth2", "--hold-out", "truth3", "--only", "gyro noise"]
-    assert run("learn", recording, *options, *more) == 2
-    captured = capsys.readouterr()
-    assert "What was learned" in captured.out
-    assert f"{out} holds what was learned" in captured.err
-    assert "It cannot be judged." in captured.err
-    assert load_robot(out).name == "tdcr466"
-
-
 def test_constants_are_found_where_most_truth_is_whatever_the_order(recording, capsys):
     taken = load_recording(recording)
     cases = [RecordingCase(taken, (0.0, end), ("coil",), ("truth1",)) for end in (0.2, 0.8)]
@@ -213,50 +170,6 @@ def test_a_curvature_at_rest_is_shifted_and_a_density_scaled():
     assert scale["factor"] == pytest.approx(2.0)
     assert scale["log_std"] is None
     assert [_cells(rest), _cells(scale)] == [("-0.7", "± 0.1"), ("× 2", "–")]
-
-
-def test_truth_that_was_learned_from_is_no_sensor_where_other_truth_is_held_out(
-    recording, tmp_path, capsys, in_process, monkeypatch
-):
-    """Nothing marks truth here, so each stream is a sensor unless an option says otherwise."""
-    folder, used = unmarked(recording, tmp_path), []
-
-    def watched(*given, use, **more):
-        used.append(use)
-        return run_estimate(*given, use=use, **more)
-
-    monkeypatch.setattr(learn_judgement, "run_estimate", watched)
-    options = ["--robot", folder / "few.toml", "--out", tmp_path / "out.toml", "--steps", 1]
-    more = ["--truth", "truth2,truth4", "--hold-out", "truth3", "--only", "gyro noise"]
-    assert run("learn", folder, *options, *WINDOW, *more) == 0
-    assert used == 2 * [["coil", "gyro", "truth1"]]
-
-
-def test_marked_truth_judges_what_readings_alone_have_taught(
-    recording, tmp_path, capsys, in_process
-):
-    out = tmp_path / "out.toml"
-    options = ["--robot", recording / "few.toml", "--out", out, *WINDOW, "--steps", 1, "--json"]
-    more = ["--only", "gyro noise", "--use", "coil,gyro"]
-    for folder, judges in ((recording, True), (unmarked(recording, tmp_path), False)):
-        assert run("learn", folder, *options, *more) == 0
-        captured = capsys.readouterr()
-        told = json.loads(captured.out)
-        assert [h["file"] for h in told["held_out"]] == ["before", "after"] * judges
-        assert (f"no truth judges {out}" in captured.err) is not judges
-
-
-@pytest.mark.parametrize(("inside", "warned"), [(0.84, True), (0.86, False)])
-def test_a_file_that_is_too_sure_of_truth_is_named(inside, warned, capsys):
-    errors = [
-        {"file": file, "recording": "arm", "coverage95_position": share}
-        for file, share in (("before", 0.2), ("after", inside))
-    ]
-    options = argparse.Namespace(out=Path("out.toml"), truth=None)
-    learn_judgement.warn_of_confidence({"held_out": errors}, options)
-    said = capsys.readouterr().err
-    assert ("with out.toml 84.0 % of truth in arm lie inside 95 %" in said) is warned
-    assert said.count("lie inside") == warned
 
 
 def test_without_json_a_table_is_printed_that_names_the_numbers(
@@ -364,11 +277,3 @@ def test_a_robot_file_that_is_none_is_one_sentence(recording, tmp_path, capsys, 
     own.write_text(text)
     assert run("learn", recording, "--robot", own, "--out", tmp_path / "o.toml", *WINDOW) == 2
     assert sentence in capsys.readouterr().err
-
-
-def test_what_a_stream_that_was_held_out_does_not_read_has_no_number():
-    errors = {"position_rmse": 2e-3, "nees_position": 1.1, "coverage95_position": 0.9}
-    held = {**errors, "rotation_rmse": None}
-    assert truth_cells(held) == ["2.00", "–", "1.10", "90.0 %"]
-    none = {**dict.fromkeys(errors), "rotation_rmse": 0.1}
-    assert truth_cells(none) == ["–", "5.73", "–", "–"]
