@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -36,7 +37,7 @@ _TRIED = 8
 
 
 def bent_starts(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> Iterator[State]:
-    """States (K, N) to start from, at most sixteen; likely ones first, arcs of half a turn last.
+    """States (K, N) to start from, at most sixteen: settled ones, and arcs of half a turn.
 
     Args:
         prior: The prior.
@@ -46,7 +47,10 @@ def bent_starts(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> Itera
     if grid.arclength.size < 2:
         return
     rest, half = prior.rest_state(grid), [(way,) for way in range(_WAYS)]
-    for shapes in (_settled(prior, grid, readings), _arcs(prior, grid.arclength, half)):
+    kinds = [partial(_settled, prior, grid, readings), partial(_arcs, prior, grid.arclength, half)]
+    if isinstance(prior, MechanicalPrior):  # of which one settles as slowly as all arcs are tried
+        kinds.reverse()
+    for shapes in (kind() for kind in kinds):
         for pose, strain in zip(shapes.pose, shapes.strain, strict=True):
             along = np.broadcast_to(strain, rest.strain.shape).copy()
             yield replace(rest, pose=np.broadcast_to(pose, rest.pose.shape).copy(), strain=along)
@@ -73,14 +77,15 @@ def _arcs(prior: Prior, arclength: Array, ways: Sequence[tuple[int, ...]]) -> St
 def _settled(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> State:
     """Different shapes (S, N) that explain readings in the middle of the grid, best first."""
     moment, arclength = grid.time[grid.time.size // 2], grid.arclength
-    near = [r.select(np.array([np.abs(r.time - moment).argmin()])) for r in readings if len(r)]
+    nearest = [r.time[np.abs(r.time - moment).argmin()] for r in readings if len(r)]
+    near = [r.select(r.time == t) for r, t in zip(filter(len, readings), nearest, strict=True)]
     near = [r for r in near if _shows_shape(r)]
     parts = min(prior.joints.size + 1, len(_STRIDES))
     ways = range(0, _WAYS, _STRIDES[parts - 1])
     arcs = _arcs(prior, arclength, list(product(ways, repeat=parts)))
-    if not near or isinstance(prior, MechanicalPrior):  # a rod's shape follows from its loads
+    if not near:
         return arcs.take(slice(0))
-    shapes, costs = _iterated(prior, arclength, near, arcs)
+    shapes, costs = _iterated(prior.with_soft_shear(), arclength, near, arcs)
     different: list[int] = []
     for i in np.argsort(costs, kind="stable"):
         bends = shapes.strain[[i, *different], :, 3:5]
@@ -90,12 +95,13 @@ def _settled(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> State:
     return shapes.take(different)
 
 
-def _shows_shape(reading: Readings) -> bool:
-    """Whether a reading is one of pose or strain at its place."""
-    if reading.spans or reading.accelerates:
+def _shows_shape(readings: Readings) -> bool:
+    """Whether readings are of pose or strain at their places."""
+    if readings.spans or readings.accelerates:
         return False
     still = State(np.eye(4)[None], STRAIGHT[None], np.zeros((1, 6)))
-    return not reading.jacobian(still)[..., VELOCITY].any()
+    every = still.take(np.zeros(len(readings), dtype=int))
+    return not readings.jacobian(every)[..., VELOCITY].any()
 
 
 def _iterated(
@@ -104,8 +110,8 @@ def _iterated(
     """Shapes (S, N) that each explain the same readings, and their costs, infinite where none."""
     count = len(start.pose)
     rough = [r.changed(cov=_OFF * r.cov, loss=None) for r in readings]
-    copies = [r.select(np.zeros(count, dtype=int)) for r in rough]
-    copies = [r.changed(time=np.arange(float(count))) for r in copies]
+    copies = [r.select(np.tile(np.arange(len(r)), count)) for r in rough]
+    copies = [r.changed(time=np.arange(float(len(r))) // (len(r) // count)) for r in copies]
     located = locate(Grid.apart(arclength, count), copies)
     try:
         shapes, _, left = iterate(prior, located, start, _SETTLED)
