@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from glissando.geometry import se3
-from wrenches_problem import NOISE, exact
+from wrenches_problem import NOISE, equilibrium, exact
 
 RESTARTS = 5  # of the shapes that are farthest off, which are found again from the truth
 
@@ -24,9 +24,16 @@ def cramer_rao(material, shapes, used):
     wrenches, places = [], []
     for i in range(len(shapes.pose)):
         loads = np.concatenate([shapes.middle[i], shapes.tip[i]])
+        truth, gravity = equilibrium(material, shapes, i), shapes.gravity[i]
         here, *moved = (
-            exact(material, shapes.gravity[i], each[:6], each[6:]).at(shapes.station).pose
-            for each in [loads, *(loads + np.diag(steps))]
+            shape.at(shapes.station).pose
+            for shape in [
+                truth,
+                *(
+                    exact(material, gravity, each[:6], each[6:], truth)
+                    for each in loads + np.diag(steps)
+                ),
+            ]
         )
         slope = np.stack(
             [se3.log(se3.inverse(here) @ m) / h for m, h in zip(moved, steps, strict=True)], -1
@@ -45,11 +52,12 @@ def least_squares_fit(material, shapes, coil, spread, i, *, from_truth):
     at the minimum, with the spread (12,) that wrenches have.
     """
     seen, place = coil.values[coil.time == i], coil.arclength[coil.time == i]
-    back = se3.inverse(seen)
+    back, near = se3.inverse(seen), equilibrium(material, shapes, i) if from_truth else None
 
     def residual(part):
         loads = part * spread
-        at = back @ exact(material, shapes.gravity[i], loads[:6], loads[6:]).at(place).pose
+        shape = exact(material, shapes.gravity[i], loads[:6], loads[6:], near)
+        at = back @ shape.at(place).pose
         lean = np.cross([0.0, 0.0, 1.0], at[:, :3, 2])[:, :2]
         sine = np.linalg.norm(lean, axis=1, keepdims=True)
         lean = lean * np.arctan2(sine, at[:, 2:3, 2]) / np.maximum(sine, 1e-12)
@@ -68,7 +76,9 @@ def other_minima(material, shapes, coil, used, found, prior, squares):
     for i in np.argsort(squares)[-RESTARTS:]:
         loads, costs = least_squares_fit(material, shapes, coil, spread, i, from_truth=True)
         place = shapes.station[~used[i]]
-        there = exact(material, shapes.gravity[i], loads[:6], loads[6:]).at(place).pose[:, :3, 3]
+        near = equilibrium(material, shapes, i)
+        shape = exact(material, shapes.gravity[i], loads[:6], loads[6:], near)
+        there = shape.at(place).pose[:, :3, 3]
         off = np.linalg.norm(found.at(place, i).position - there, axis=-1)
         out.append((float(1e3 * off.max()), float(costs[0] - costs[1])))
     return {

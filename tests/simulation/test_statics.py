@@ -153,6 +153,15 @@ def test_a_column_stands_up_to_its_critical_load_and_no_further(load):
         assert percentage == pytest.approx(100.0 / share, abs=0.2)
 
 
+@pytest.mark.parametrize("share", [0.9, 1.5, 4.0])
+def test_a_column_beyond_its_critical_load_is_in_balance_where_it_would_not_stay(share):
+    straight, top = solve_shape(beam(), [], Loads()), [0.0, 0.0, -share * EULER]
+    loads = Loads(wrenches=[Wrench(1.0, top)])
+    held = solve_shape(beam(), [], loads, start=straight, stable=False).at([0.0, 0.5, 1.0])
+    np.testing.assert_allclose(held.wrench[:, :3], np.tile(top, (3, 1)), atol=1e-7)
+    np.testing.assert_allclose(held.strain[:, [0, 1, 3, 4, 5]], 0.0, atol=1e-9)
+
+
 def test_a_column_pulled_up_never_buckles():
     np.testing.assert_allclose(column(tip=-100.0).at(1.0).pose, se3.exp(STRAIGHT), atol=1e-6)
 

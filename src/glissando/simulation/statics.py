@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve
@@ -26,7 +26,12 @@ _FINEST = 64  # elements the length may be divided into
 
 
 def solve_shape(
-    rod: Rod, tendons: Sequence[Tendon], loads: Loads, *, start: Shape | None = None
+    rod: Rod,
+    tendons: Sequence[Tendon],
+    loads: Loads,
+    *,
+    start: Shape | None = None,
+    stable: bool = True,
 ) -> Shape:
     """The stable static shape that the unloaded rod takes when the loads are put on.
 
@@ -38,6 +43,8 @@ def solve_shape(
         tendons: Its tendons.
         loads: What acts on it.
         start: A shape under similar loads, which saves iterations.
+        stable: Whether the shape has to be one that the rod would keep; if not, any equilibrium
+            near `start` is one, as of solvers that do not ask.
 
     Raises:
         SimulationError: Tendons or loads are impossible.
@@ -45,7 +52,11 @@ def solve_shape(
     """
     require_possible(rod, tendons, loads)
     breaks = [0.0, rod.length, *(t.end for t in tendons), *(w.arclength for w in loads.wrenches)]
-    return settle(lambda mesh: Equilibrium.of(rod, tendons, loads, mesh), rod, breaks, start=start)
+
+    def on(mesh: Mesh) -> Equilibrium:
+        return replace(Equilibrium.of(rod, tendons, loads, mesh), stable=stable)
+
+    return settle(on, rod, breaks, start=start)
 
 
 def settle(
@@ -96,10 +107,12 @@ class Equilibrium:
     Attributes:
         equations: The rod with its tendons on a mesh.
         instant: What acts on it.
+        stable: Whether a shape that the rod would not keep is none.
     """
 
     equations: RodEquations
     instant: AppliedLoads
+    stable: bool = True
 
     @staticmethod
     def of(rod: Rod, tendons: Sequence[Tendon], loads: Loads, mesh: Mesh) -> Equilibrium:
@@ -133,7 +146,7 @@ class Equilibrium:
         return strain
 
     def _newton(self, strain: Array, share: float) -> Array | None:
-        """A stable equilibrium near `strain` under a share of the loads, or None.
+        """An equilibrium near `strain` under a share of the loads, stable if it has to be, or None.
 
         A derivative is kept for as long as each step with it makes the residual five times smaller.
         """
@@ -141,7 +154,8 @@ class Equilibrium:
         size, slope = self._size(here), None
         for _ in range(_ITERATIONS):
             if size < _CLOSE * (1.0 + np.abs(strain).max()):
-                return strain if self._is_stable(self._slope(here, share)) else None
+                fine = not self.stable or self._is_stable(self._slope(here, share))
+                return strain if fine else None
             fresh = slope is None
             if slope is None:
                 slope = lu_factor(self._slope(here, share), check_finite=False)
