@@ -15,6 +15,7 @@ pytest.importorskip("cryptography", reason="local studies need keys")
 
 from draws import generators, law
 from glissando import GlissandoError, __version__
+from glissando.cli.console import Console
 from glissando.cli.main import main
 from glissando.experiments import runner, scenes
 from glissando.experiments.runner import METRICS, failure, outcome
@@ -22,7 +23,7 @@ from glissando.experiments.study import store as stores
 from glissando.experiments.study.figures import study_figure
 from glissando.experiments.study.plan import SETTINGS, StudyError, load_study
 from glissando.experiments.study.store import TABLE, Store, parquet
-from glissando.experiments.study.summary import summarise
+from glissando.experiments.study.summary import print_summary, summarise
 from studies import write_study
 
 NOISE = "noise = [0.5, 2]"
@@ -246,6 +247,29 @@ def test_cells_of_a_seed_are_drawn_again_together(tmp_path):
         assert found["value"] == pytest.approx(error.mean())
         wide = 2.0 * 1.96 * error.std() / 40**0.5
         assert found["high"] - found["low"] == pytest.approx(wide, rel=0.2)
+
+
+@pytest.mark.parametrize("seeds", [2, 3, 8])
+def test_intervals_of_few_seeds_hold_the_true_value_almost_as_often_as_they_say(tmp_path, seeds):
+    study = load_study(write_study(tmp_path, "", seeds=seeds))
+    rng, inside = np.random.default_rng(seeds), 0
+    for _ in range(100):
+        rows = rows_of(study, rng)
+        for row, square in zip(rows, rng.lognormal(-0.125, 0.5, seeds), strict=True):  # mean 1
+            row |= dict.fromkeys(METRICS, square**0.5) | {"error": None}
+        found = summarise(study, rows)["axes"]["seeds"][0]["position_rmse"]
+        inside += 0.0 < found["low"] <= 1.0 <= found["high"]
+    assert inside >= 85
+
+
+def test_a_single_seed_has_no_interval(tmp_path):
+    study = load_study(write_study(tmp_path, "", seeds=1))
+    rows = rows_of(study, np.random.default_rng(2))
+    rows[0] |= dict.fromkeys(METRICS, 1.0) | {"error": None}
+    told = summarise(study, rows)
+    assert told["axes"]["seeds"][0]["position_rmse"] == {"value": 1.0, "low": None, "high": None}
+    print_summary(told, Console())
+    study_figure(told)
 
 
 def test_a_study_without_axes_is_a_monte_carlo_of_its_seeds(tmp_path):

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from glissando.geometry.se3 import Array
 
@@ -35,6 +36,32 @@ def interval(values: Array) -> dict[str, float]:
     """
     low, high = np.quantile(values[1:], [0.025, 0.975])
     return {"value": float(values[0]), "low": float(low), "high": float(high)}
+
+
+def interval_of_few(values: Array, count: int, most: float | None = None) -> dict[str, Any]:
+    """The value of a sample of a few seeds, and its 95 % interval.
+
+    Samples drawn again from a few seeds are too alike: of two seeds every one lies between both,
+    where the truth is half of the time. The resamples are therefore spread about the value as
+    Student's t is, by logarithms where no number is zero, so that the interval stays positive.
+
+    Args:
+        values: A statistic (1 + R,) of the samples of `bootstrap`, from zero up.
+        count: Number of seeds.
+        most: The largest value there can be, if there is one.
+
+    Returns:
+        `value`, `low` and `high`; one seed has None for both ends.
+    """
+    value = float(values[0])
+    if count < 2:
+        return {"value": value, "low": None, "high": None}
+    by_log = most is None and bool(values.min() > 0.0)
+    scaled = np.log(values) if by_log else values
+    wider = np.sqrt(count / (count - 1)) * stdtrit(count - 1, 0.975) / stdtrit(np.inf, 0.975)
+    ends = scaled[0] + wider * (np.quantile(scaled[1:], [0.025, 0.975]) - scaled[0])
+    low, high = np.clip(np.exp(ends) if by_log else ends, 0.0, most)
+    return {"value": value, "low": float(low), "high": float(high)}
 
 
 def summary(outcomes: Array, fixed: Array | None = None) -> dict[str, Any]:

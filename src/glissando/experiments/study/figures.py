@@ -16,7 +16,7 @@ def study_figure(summary: dict[str, Any]) -> Any:
     """Position RMSE in mm above, share inside the 95 % ellipsoid below, a column an axis.
 
     Args:
-        summary: What `summarise` gives; bars are its 95 % intervals.
+        summary: What `summarise` gives; bars are its 95 % intervals, none of one seed.
 
     Returns:
         The axes (2, C).
@@ -51,8 +51,9 @@ def _places(axes: Any, values: list[Any]) -> list[float]:
     return [float(i) for i in range(len(values))]
 
 
-def _draw(axes: Any, place: list[float], entries: list[dict[str, float]], scale: float) -> None:
-    value, low, high = (scale * np.array([e[k] for e in entries]) for k in ("value", "low", "high"))
+def _draw(axes: Any, place: list[float], entries: list[dict[str, Any]], scale: float) -> None:
+    table = [[e[k] for k in ("value", "low", "high")] for e in entries]
+    value, low, high = scale * np.reshape(np.array(table, dtype=float), (-1, 3)).T  # None is NaN
     # a resampled interval need not hold the value itself
     bars = np.maximum([value - low, high - value], 0.0)
     axes.errorbar(place, value, bars, color=_COLOUR, marker="o", capsize=4, linewidth=1.5)

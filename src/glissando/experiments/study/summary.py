@@ -12,9 +12,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from glissando.experiments.statistics import bootstrap, interval
+from glissando.experiments.statistics import bootstrap, interval_of_few
 from glissando.experiments.study.plan import Study
 from glissando.geometry.se3 import Array
+
+_MEANS = {"nees_position": None, "coverage95_position": 1.0, "converged": 1.0}
+"""Metrics of which the mean counts, and the most that they can be."""
 
 
 def summarise(study: Study, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -24,7 +27,8 @@ def summarise(study: Study, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         Counts, sentences of errors with their numbers, and under `axes` a list of points for each
         axis of two values or more, or for 'seeds' alone. A point pools the cells that have its
         `value`, whatever the others: RMSE (m, rad), NEES and coverage, each with the 95 % interval
-        of drawing the seeds again: all cells of a seed have the same robot, tracker and noise.
+        of drawing the seeds again: all cells of a seed have the same robot, tracker and noise. One
+        seed has no interval.
     """
     errors = Counter(row["error"] for row in rows if row["error"] is not None)
     points = {
@@ -46,8 +50,6 @@ def _point(value: Any, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     out = {"value": value, "cells": len(rows), "failed": len(rows) - len(sound)}
     if sound:
         seeds, of = np.unique([row["seed"] for row in sound], return_inverse=True)
-        if seeds.size == 1:  # cells are all that can be drawn
-            seeds, of = np.arange(len(sound)), np.arange(len(sound))
         draws, cells = bootstrap(seeds.size, 2000), np.bincount(of)
 
         def mean(values: Array) -> Array:
@@ -55,9 +57,11 @@ def _point(value: Any, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
             return sums[draws].sum(axis=1) / cells[draws].sum(axis=1)
 
         for name in ("position_rmse", "rotation_rmse"):
-            out[name] = interval(np.sqrt(mean(np.square([row[name] for row in sound]))))
-        for name in ("nees_position", "coverage95_position", "converged"):
-            out[name] = interval(mean(np.array([float(row[name]) for row in sound])))
+            rms = np.sqrt(mean(np.square([row[name] for row in sound])))
+            out[name] = interval_of_few(rms, seeds.size)
+        for name, most in _MEANS.items():
+            values = mean(np.array([float(row[name]) for row in sound]))
+            out[name] = interval_of_few(values, seeds.size, most)
     return out
 
 
@@ -92,6 +96,8 @@ def _cells(point: dict[str, Any]) -> list[str]:
     return [*counts, millimetres, degrees, nees, _interval(point["coverage95_position"], 1e2, 0)]
 
 
-def _interval(entry: dict[str, float], scale: float, digits: int) -> str:
+def _interval(entry: dict[str, Any], scale: float, digits: int) -> str:
+    if entry["low"] is None:
+        return f"{scale * entry['value']:.{digits}f}"
     value, low, high = (f"{scale * entry[k]:.{digits}f}" for k in ("value", "low", "high"))
     return f"{value} ({low}–{high})"
