@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glissando.errors import SensorError
+from glissando.errors import RobotFileError, SensorError
 from glissando.model.tendons.channel import Channel
 from glissando.model.tendons.travel import arclength_of, channel_lengths
 from glissando.simulation import Loads, solve_shape
@@ -50,3 +50,12 @@ def test_the_place_of_a_travel_is_where_it_was_travelled_to():
     np.testing.assert_allclose(arclength_of(channel, NODES, strain, travel), places, atol=1e-12)
     with pytest.raises(SensorError, match="A travel of 180 m leaves the channel"):
         arclength_of(channel, NODES, strain, np.array([180.0]))
+
+
+@pytest.mark.parametrize("pitch", [300.0, -150.0, 50.0])
+def test_a_pitch_in_millimetres_is_refused(pitch):
+    with pytest.raises(SensorError, match="hardly turns; give metres"):
+        Channel(0.004, 0.3, pitch)
+    with pytest.raises(RobotFileError, match=r"pitch is .* give metres: 0.3 for 300 mm"):
+        tendon_robot(pitch=pitch)
+    assert Channel(0.004, 0.3, np.copysign(0.3, pitch)).pitch == np.copysign(0.3, pitch)

@@ -12,6 +12,9 @@ from glissando.geometry.se3 import Array
 
 _WIDEST = 0.1  # m
 _MOST_TURNED = 4.0 * np.pi  # rad; more would be degrees
+LONGEST_PITCH = 20.0
+"""Metres a turn, beyond which a channel was given in another unit, or is straight."""
+
 _BEYOND = 2.0 * np.pi  # radii, by which bending lengthens a channel: a whole turn
 
 
@@ -41,6 +44,12 @@ class Channel:
             raise SensorError(
                 f"A channel that turns about the backbone every {self.pitch:g} m cannot be; give "
                 f"the pitch in metres, or none if it is straight."
+            )
+        if LONGEST_PITCH < abs(self.pitch) < np.inf:
+            raise SensorError(
+                f"A channel that turns about the backbone every {self.pitch:g} m hardly turns; "
+                f"give metres ({self.pitch:g} mm are {self.pitch / 1e3:g} m), or no pitch if it is "
+                f"straight."
             )
 
     def path(self, arclength: Array) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
 from glissando.model.mechanics import Mechanics
 from glissando.model.table import Table
-from glissando.model.tendons.channel import Channel
+from glissando.model.tendons.channel import LONGEST_PITCH, Channel
 from glissando.model.tendons.replicate import Replicate, read_replicates
 
 _LONGEST = 50.0  # m of a robot
@@ -262,6 +262,8 @@ def _require_units(tendons: Any, fail: Callable[[str, str], Exception]) -> None:
         raise fail("end", f"reaches {tendons.end.max():g} m; give metres, not millimetres.")
     if np.any(np.abs(tendons.pitch) < tendons.radius):
         raise fail("pitch", f"is {tendons.pitch.tolist()}; give metres a turn, inf if straight.")
+    if np.any(np.isfinite(tendons.pitch) & (np.abs(tendons.pitch) > LONGEST_PITCH)):
+        raise fail("pitch", f"is {tendons.pitch.tolist()}; give metres: 0.3 for 300 mm a turn.")
     travel = _TRAVEL * float(tendons.radius.max())
     for name in ("slack", "play", "softness", "std"):
         value = np.abs(np.asarray(getattr(tendons, name)))
