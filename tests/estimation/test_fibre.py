@@ -16,6 +16,8 @@ from glissando import (
     estimate_static,
 )
 from glissando.errors import SensorError
+from glissando.solver.gauss_newton import SolverOptions
+from glissando.solver.outcome import Outcome
 
 LENGTH = 0.5
 NODES = np.linspace(0.0, LENGTH, 5)
@@ -101,3 +103,21 @@ def test_microstrain_in_the_place_of_strain_is_refused_in_a_sentence():
     of = fibre(time, place, bending(time, place))
     with pytest.raises(SensorError, match=r"core 0 in row \d+ is -?\d+.*1e-6 times microstrain"):
         replace(of, values=1e6 * of.values)
+
+
+def test_shapes_of_precise_fibres_are_found_in_a_few_steps():
+    rng, count = np.random.default_rng(1), 20
+    number, place = places(np.arange(float(count)))
+    waves = np.cos(np.pi / LENGTH * place[:, None] * np.arange(3))
+    sizes = np.array([5.0, 2.5, 1.2]) * rng.standard_normal((2, count, 3))[:, number.astype(int)]
+    u = np.sum(sizes * waves, axis=-1).T
+    readings = replace(fibre(number, place, u), cov=(2e-6) ** 2)
+    nodes, steps = np.linspace(0.0, LENGTH, 21), SolverOptions(max_iterations=6)
+    winding = replace(PRIOR, psd_strain_arclength=PRIOR.psd_strain_arclength * 4.0)
+    winding = replace(winding, base=replace(PRIOR.base, pose=np.repeat([1e-8, 1e-6], 3)))
+    assert estimate_static(winding, nodes, [readings], options=steps).converged.all()
+    for k in range(3):
+        one = readings.select(number == k).changed(time=np.zeros(20))
+        report = estimate(winding, Grid(nodes, [0.0]), [one], options=steps).solve
+        assert report.outcome is Outcome.CONVERGED
+        assert report.iterations <= 6

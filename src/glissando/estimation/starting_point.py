@@ -45,7 +45,7 @@ def starting_point(
     Returns:
         State (K, N), the readings with the sensor parameters that go with it, iterations.
     """
-    state, iterations, soft = prior.rest_state(located.grid), 0, prior.with_soft_shear()
+    state, iterations, soft = prior.rest_state(located.grid), 0, bending_easily(prior, located)
     coarse = _coarsened(located) if state.inertia is None else None  # coarse nodes miss vibration
     if coarse is not None:
         options = SolverOptions.rough(coarse.grid.time.size * state.numbers)
@@ -69,6 +69,16 @@ def starting_point(
         step = rough.located.parameters.values - located.parameters.values
         state, located, iterations = rough.state, located.moved(step), rough.iterations
     return state, located, iterations
+
+
+def bending_easily(prior: Prior, located: LocatedReadings) -> Prior:
+    """The prior with soft shear where poses have to bend the robot; of strains alone itself.
+
+    Strains state the bend, to which a step leads at once. Of a soft prior they leave poses that
+    shear where they should bend, which a stiff one then walks back.
+    """
+    stated = located.streams and all(stream.resolves_axes for stream in located.streams)
+    return prior if stated else prior.with_soft_shear()
 
 
 def with_convex_losses(located: LocatedReadings) -> LocatedReadings:

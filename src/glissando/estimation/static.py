@@ -28,7 +28,7 @@ from glissando.estimation.given import (
 from glissando.estimation.misfit import unreachable_readings
 from glissando.estimation.outliers import distinct_labels, unlikely
 from glissando.estimation.posterior import Posterior
-from glissando.estimation.starting_point import with_convex_losses
+from glissando.estimation.starting_point import bending_easily, with_convex_losses
 from glissando.estimation.static_iteration import Solved, iterate, node_covariances
 from glissando.estimation.static_posterior import StaticPosterior, require_whole
 from glissando.geometry.se3 import Array
@@ -200,7 +200,7 @@ def _require_reach(prior: Prior, located: LocatedReadings) -> None:
 
 def _first_shapes(prior: Prior, located: LocatedReadings) -> State:
     """Shapes to start from: at rest, or where soft shear and convex losses lead from there."""
-    soft, start = prior.with_soft_shear(), prior.rest_state(located.grid)
+    soft, start = bending_easily(prior, located), prior.rest_state(located.grid)
     convex = with_convex_losses(located)
     if convex is not located:
         return iterate(soft, convex, start, SolverOptions())[0]
