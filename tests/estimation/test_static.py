@@ -11,6 +11,7 @@ from draws import generators, law
 from glissando import (
     BaseVariance,
     CoilReadings,
+    FalseConfidenceWarning,
     FbgReadings,
     GemanMcClure,
     Grid,
@@ -139,7 +140,7 @@ def test_nearly_rigid_shear_and_right_angles_converge_from_rest(monkeypatch):
 
     This prior does not expect such bends.
     """
-    monkeypatch.setattr(method, "estimate", None)
+    monkeypatch.setattr(method, "BatchProblem", None)
     monkeypatch.setattr(static_iteration, "implausible", lambda *_: False)
     rng = np.random.default_rng(1)
     prior = replace(
@@ -206,9 +207,11 @@ def test_a_shape_that_steps_do_not_lead_to_is_left_to_the_estimator_of_recording
         found, wanted = (which.at(nodes, shape) for which in (left, known))
         np.testing.assert_allclose(found.pose, wanted.pose, atol=1e-6)
         np.testing.assert_allclose(found.std_position, wanted.std_position, rtol=1e-5)
-    with pytest.warns(NotConvergedWarning):
+    with pytest.warns(NotConvergedWarning, match="^Shapes 0, 1, 2 are not converged") as warned:
         hasty = estimate_static(prior, nodes, readings, options=SolverOptions(max_iterations=1))
     assert not hasty.converged.any()
+    assert len(warned) == 1
+    assert "time" not in str(warned[0].message)
 
 
 @pytest.mark.slow
@@ -285,3 +288,16 @@ def test_a_reading_that_the_others_of_its_shape_refute_is_refused_and_named():
     off = found.at(robot.length, np.arange(count)).position - tips
     assert np.linalg.norm(off, axis=1).max() < 5e-3
     assert_same(found, alone(robot.prior, nodes, [wrong], 1), 1, np.array([0.05, 0.466]))
+
+
+def test_shapes_whose_readings_contradict_them_are_named():
+    rng, count = np.random.default_rng(0), 4
+    bent = strains(rng, count, 1.0)
+    places = np.tile(np.linspace(0.05, 0.4, 8), count)
+    shape = np.repeat(np.arange(count), 8)
+    values = bent[shape] + 0.01 * rng.standard_normal((shape.size, 6))
+    values[shape % 2 == 1] += rng.standard_normal((16, 6))
+    strain = StrainReadings(time=shape, arclength=places, values=values, cov=1e-4)
+    with pytest.warns(FalseConfidenceWarning, match="^Shapes 1, 3 are in doubt") as warned:
+        estimate_static(PRIORS["separable"], nodes_of("separable"), [strain])
+    assert len(warned) == 1

@@ -7,16 +7,22 @@ hundred of them cost little more than one. Source: equations (2'), (20), (21).
 
 from __future__ import annotations
 
+import warnings
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from glissando._kernels.threads import one_thread
-from glissando.errors import OutsideGridError, UnobservableError
-from glissando.estimation.batch import estimate
+from glissando.errors import (
+    FalseConfidenceWarning,
+    NotConvergedWarning,
+    OutsideGridError,
+    UnobservableError,
+)
+from glissando.estimation.batch_problem import BatchProblem
 from glissando.estimation.given import (
     arclength_nodes,
     require_jacobians,
@@ -26,8 +32,9 @@ from glissando.estimation.given import (
     static_model,
 )
 from glissando.estimation.misfit import unreachable_readings
-from glissando.estimation.outliers import distinct_labels, unlikely
+from glissando.estimation.outliers import CHANCE, distinct_labels, unlikely
 from glissando.estimation.posterior import Posterior
+from glissando.estimation.solve_report import SolveReport
 from glissando.estimation.starting_point import bending_easily, with_convex_losses
 from glissando.estimation.static_iteration import Solved, iterate, node_covariances
 from glissando.estimation.static_posterior import StaticPosterior, require_whole
@@ -50,6 +57,11 @@ from glissando.solver.static_equations import linearize_static, static_factors
 _DOFS = slice(0, STATIC_DOF)
 _BLOCKS = 6.0  # square blocks of numbers that are kept for a node of a shape
 _SOFT_ITERATIONS = 8
+_NAMED = 10  # shapes of many that a warning names
+_ASTRAY = (
+    "Try a robust loss, more iterations (max_iterations), or leave out readings that disagree; "
+    "where readings leave a shape open, sample_static draws those that explain them."
+)
 _FEW = 2  # readings of a shape of which neither refutes the other
 
 
@@ -82,7 +94,8 @@ def estimate_static(
         UnobservableError: Prior and readings leave a direction of a shape undetermined.
 
     Warns:
-        NotConvergedWarning: A shape was not found; `outcomes` says which.
+        NotConvergedWarning: Shapes were not found; it names them, and `outcomes` says which.
+        FalseConfidenceWarning: Many readings contradict shapes that it names.
 
     >>> from glissando import CoilReadings, load_robot
     >>> robot = load_robot("tdcr466")
@@ -109,11 +122,15 @@ def estimate_static(
         located = locate(grid, given)
         state, (cov, cross), left = _together(prior, located, options)
         left |= _contradicted(prior, located, state)
-    outcomes, refused = _complete(prior, grid, given, options, left, state, cov, cross)
+    reports, refused = _complete(prior, grid, given, options, left, state, cov, cross)
+    _warn(reports)
+    outcomes = [Outcome.CONVERGED] * count
+    for k, report in reports.items():
+        outcomes[k] = report.outcome
     if isinstance(prior, MechanicalPrior):
         with one_thread():
             cov, cross = _with_curvature(prior, located, state, cov, cross)  # (31)
-    return StaticPosterior(prior, grid, state, cov, cross, outcomes, refused)
+    return StaticPosterior(prior, grid, state, cov, cross, tuple(outcomes), refused)
 
 
 def _contradicted(prior: Prior, located: LocatedReadings, state: State) -> NDArray[np.bool_]:
@@ -137,18 +154,42 @@ def _complete(
     state: State,
     cov: Array,
     cross: Array,
-) -> tuple[tuple[Outcome, ...], dict[str, list[int]]]:
-    """Estimate by itself each shape that is left, in place; how all were found, rows refused."""
-    outcomes, refused = [Outcome.CONVERGED] * left.size, defaultdict[str, list[int]](list)
+) -> tuple[dict[int, SolveReport], dict[str, list[int]]]:
+    """Estimate by itself each shape that is left, in place; how these were found, rows refused."""
+    reports, refused = dict[int, SolveReport](), defaultdict[str, list[int]](list)
     for k in np.flatnonzero(left):
         one = _alone(prior, grid.arclength, readings, int(k), options)
-        outcomes[k] = one.solve.outcome
+        reports[int(k)] = one.solve
         state.pose[k], state.strain[k] = one.state.pose[0], one.state.strain[0]
         cov[k], cross[k] = _node_blocks(one)
         for r, name in zip(readings, distinct_labels(readings), strict=True):
             rows = np.flatnonzero(r.time == k)
             refused[name] += rows[one.solve.refused.get(name, [])].tolist()
-    return tuple(outcomes), {name: rows for name, rows in refused.items() if rows}
+    return reports, {name: rows for name, rows in refused.items() if rows}
+
+
+def _warn(reports: Mapping[int, SolveReport]) -> None:
+    """Warn of shapes that were not found, and of those whose readings contradict them, by number.
+
+    What the first of each kind has to say is said of it, once for all of them.
+    """
+    astray = [k for k, report in reports.items() if not report.converged]
+    if astray:
+        first = reports[astray[0]]
+        words = [f"{_numbered(astray)} {first.status}.", first.worst, _ASTRAY]
+        warnings.warn(" ".join(filter(None, words)), NotConvergedWarning, stacklevel=3)
+    doubtful = [k for k, report in reports.items() if report.converged and report.doubt]
+    if doubtful:
+        text = f"{_numbered(doubtful)} in doubt. {reports[doubtful[0]].doubt}"
+        warnings.warn(text, FalseConfidenceWarning, stacklevel=3)
+
+
+def _numbered(shapes: Sequence[int]) -> str:
+    """The numbers of shapes as the beginning of a sentence."""
+    if len(shapes) == 1:
+        return f"Shape {shapes[0]} is"
+    shown, more = ", ".join(map(str, shapes[:_NAMED])), len(shapes) - _NAMED
+    return f"Shapes {shown}" + (f" and {more} more are" if more > 0 else " are")
 
 
 def _count(readings: Sequence[Readings], nodes: int, count: int | None) -> int:
@@ -218,7 +259,8 @@ def _alone(
     own = [r.changed(time=np.zeros(len(r))) for r in own]
     if isinstance(prior, MechanicalPrior):
         prior = prior.of_shape(k)
-    return estimate(prior, Grid(arclength, [0.0]), own, options=options)
+    problem = BatchProblem(prior, Grid(arclength, [0.0]), own, (), options, None, CHANCE)
+    return problem.placed((None, ()))
 
 
 def _node_blocks(one: Posterior) -> tuple[Array, Array]:
