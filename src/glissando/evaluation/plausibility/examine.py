@@ -8,6 +8,7 @@ import numpy as np
 
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.reading_fit import fit_of
+from glissando.evaluation.plausibility.fibre import check_fibres
 from glissando.evaluation.plausibility.finding import Finding, require_known
 from glissando.evaluation.plausibility.inertial import check_accelerometers, check_gyros
 from glissando.evaluation.plausibility.lag import check_lag
@@ -84,7 +85,7 @@ def _examined(streams: Streams, window: tuple[float, float] | None) -> list[Find
     if not any(f.refusal and f.name in ("time-unit", "clock", "grid") for f in findings):
         findings += _on_motion(streams)
     if not any(f.refusal for f in findings):
-        findings += [*check_far(streams), *check_pace(streams)]
+        findings += [*check_far(streams), *check_pace(streams), *check_fibres(streams)]
     return _without_echoes(findings)
 
 

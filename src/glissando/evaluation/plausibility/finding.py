@@ -12,6 +12,7 @@ CHECKS = {
     "axes": "coordinate axes swapped, mirrored, or turned against each other",
     "base": "readings that fit together but not on the robot's base",
     "clock": "streams whose times do not meet, or a clock that jumps",
+    "fibre": "a fibre's order of cores, angles, radii or sign against tracked bodies",
     "fit": "streams that the estimate does not follow",
     "frame": "a frame inverted, left out, in millimetres or with another quaternion order",
     "grid": "more time nodes than readings could need, or too few for the confidence between",
