@@ -245,8 +245,8 @@ def test_mistakes_are_one_sentence():
     free = replace(PRIORS["kinematic"], base=None)
     with pytest.raises(UnobservableError, match="leave a direction of a shape undetermined"):
         estimate_static(free, nodes, [PositionReadings(**at, values=np.zeros((2, 3)), cov=1.0)])
-    with pytest.raises(OutsideGridError, match="Query"):
-        estimate_static(prior, nodes, [], count=2).at(0.1, 2)
+    with pytest.raises(OutsideGridError, match="row 1 is of shape 2; there are 2, numbered"):
+        estimate_static(prior, nodes, [], count=2).at(0.1, [1, 2])
 
 
 def drawn_shapes(robot, nodes, count, places, loss=None):

@@ -86,8 +86,8 @@ class StaticPosterior(ShortRepr):
     def _queried(self, arclength: ArrayLike, shape: ArrayLike) -> tuple[Array, Array]:
         """Places and numbers of shapes of a query, which broadcast and are on the grid."""
         s, k = points_of(arclength, shape)
+        require_whole(k.ravel(), "Query", self.grid.time.size)
         self.grid.require(s.ravel(), k.ravel(), "Query")
-        require_whole(k.ravel(), "Query")
         return s, k
 
     def _spread_of_states(self, nodes: Index, slopes: Array, left: Array) -> Array:
@@ -108,11 +108,16 @@ class StaticPosterior(ShortRepr):
         return symmetrize(own @ joint @ np.swapaxes(own, -1, -2) + left)
 
 
-def require_whole(number: Array, what: str) -> None:
-    """Raise OutsideGridError unless all numbers of shapes are whole, from 0 up."""
+def require_whole(number: Array, what: str, count: int | None = None) -> None:
+    """Raise OutsideGridError unless all numbers of shapes are whole, from 0 up to `count`."""
     wrong = np.flatnonzero((number != np.round(number)) | (number < 0.0))
     if wrong.size:
         raise OutsideGridError(
             f"{what}: row {wrong[0]} is of shape {number[wrong[0]]:g}; shapes are numbered 0, 1, "
             f"2, … in place of times."
+        )
+    if count is not None and np.any(beyond := number >= count):
+        raise OutsideGridError(
+            f"{what}: row {np.flatnonzero(beyond)[0]} is of shape {number[beyond][0]:g}; there are "
+            f"{count}, numbered from 0."
         )
