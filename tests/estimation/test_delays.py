@@ -207,6 +207,36 @@ def test_a_shape_that_bends_as_freely_as_it_may_dates_nothing(online):
     assert np.sqrt(np.mean(np.square(z))) < 2.0
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_states_are_as_unsure_as_motion_makes_them_by_a_delay_that_nothing_dates(seed):
+    """The second segment bends freely, so that the middle dates no reading of the tip."""
+    robot, rng, sigma = load_robot("tdcr466-segments"), np.random.default_rng(seed), 0.03
+    nodes, time = np.linspace(0.0, robot.length, 3), np.arange(0.0, 1.0, 1 / 30)
+    bend, rates = rng.normal(0.0, 2.0, (2, 4)), rng.uniform(2.0, 4.0, 2)
+
+    def pose(place, t):
+        return bent(bend[0] * np.sin(rates[0] * t) + bend[1] * np.cos(rates[1] * t), 0.466, place)
+
+    streams = []
+    for name, place in (("middle", nodes[1]), ("tip", nodes[2])):
+        noise = se3.exp(np.sqrt(NOISE) * rng.standard_normal((time.size, 6)))
+        values = [pose(place, t) for t in time] @ noise
+        streams.append(
+            PoseReadings(time=time, arclength=place, values=values, cov=NOISE, name=name)
+        )
+    late = SensorParameter("late", "time_offset", ("tip",), [0.0], [sigma])
+    grid = Grid(nodes, np.arange(-0.2, 1.2, 1 / 30))
+    found = estimate(robot.prior, grid, streams, sensor_parameters=[late], gate=None)
+    assert found.parameter("late")[1][-1, 0, 0] == pytest.approx(sigma**2, rel=0.05)
+    for now in (0.3, 0.5, 0.7):
+        moved = (pose(0.466, now + 0.01) - pose(0.466, now - 0.01))[:3, 3] / 0.02
+        along, speed = moved / np.linalg.norm(moved), np.linalg.norm(moved)
+        tip = found.at(0.466, now)
+        std = np.sqrt(along @ tip.cov_position_world @ along)
+        assert 0.6 * speed * sigma < std < 1.4 * speed * sigma + 0.005
+        assert found.at(nodes[1], now).std_position < 0.005  # what is not late stays as it was read
+
+
 def swaying(robot, time, place):
     """The pose at a place of an arc that sways."""
     bend = np.array([0.0, 0.0, 1.0, 1.5 * np.sin(1.9 * time), 0.0, 0.0])

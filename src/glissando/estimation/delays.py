@@ -12,7 +12,7 @@ Online, x₀ is that of a second smoother, which streams with a delay never reac
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -74,14 +74,14 @@ def with_unseen_delays(
             motion = shown.state
             moving = replace(solution.located, motion=motion)
             shares = shares_of_slope(prior, moving, noise, solution, late, delays)
-    located = replace(solution.located, motion=motion, shares=shares)
-    return _settled(prior, located, motion, solution, options)
+    located = replace(solution.located, motion=motion)
+    return _settled(prior, located, shares, solution, options)
 
 
 def _settled(
     prior: Prior,
     located: LocatedReadings,
-    motion: State,
+    shares: Mapping[str, float],
     solution: Solution,
     options: SolverOptions,
 ) -> Solution:
@@ -91,26 +91,26 @@ def _settled(
     bend freely contradicts them least, whatever their delay is. Where the motion tells nothing, or
     steps do not settle, delays are as stated, and as uncertain.
     """
-    unseen = replace(located, shares=dict.fromkeys(located.shares, 0.0))
-    for known in (located, unseen) if any(located.shares.values()) else (unseen,):
-        settled = _end_of_steps(prior, known, motion, solution, options)
+    unseen = dict.fromkeys(shares, 0.0)
+    for counted in (shares, unseen) if any(shares.values()) else (unseen,):
+        settled = _end_of_steps(prior, located, counted, solution, options)
         if settled is not None:
             return settled
-    seen, cholesky = _known_by_motion(prior, unseen, motion, solution.state, solution)
+    seen, cholesky = _known_by_motion(prior, located, unseen, solution.state, solution)
     return replace(solution, equations=seen, cholesky=cholesky)
 
 
 def _end_of_steps(
     prior: Prior,
     located: LocatedReadings,
-    motion: State,
+    shares: Mapping[str, float],
     solution: Solution,
     options: SolverOptions,
 ) -> Solution | None:
     """Where such steps end; None where they do not settle."""
     state, at = solution.state, located
     for _ in range(_STEPS):
-        seen, cholesky = _known_by_motion(prior, at, motion, state, solution)
+        seen, cholesky = _known_by_motion(prior, at, shares, state, solution)
         step = cholesky.solve(seen.rhs)
         length = float(np.sqrt(np.sum(step * seen.rhs)))  # grows before it shrinks
         if length < options.tolerance:
@@ -125,19 +125,67 @@ def _end_of_steps(
 def _known_by_motion(
     prior: Prior,
     located: LocatedReadings,
-    motion: State,
+    shares: Mapping[str, float],
     state: State,
     solution: Solution,
 ) -> tuple[NormalEquations, Cholesky]:
-    """Normal equations of x′ at a state, and their factor, in the memory of a solution."""
+    """Normal equations of x at a state, and their factor, in the memory of a solution."""
     process, time = located.parameters.process, located.grid.time
     workspace, cholesky = solution.memory(state.numbers + process.size)
+    located, counts = _with_shares(located, shares)
     seen = linearize(prior, located, state, state, workspace)
-    own = slope_in_time(state, time) - slope_in_time(motion, time)
+    own = slope_in_time(state, time)
+    if located.motion is not None:
+        own -= slope_in_time(located.motion, time)
     own = own.reshape(time.size, -1)
     columns = [state.numbers + column for column in process.delay_columns]
     seen.rhs[:, columns] -= np.sum(own * seen.rhs[:, : state.numbers], axis=1)[:, None]
-    return seen, factor(_moving_along(seen.system, own, columns), cholesky)
+    cholesky = factor(_moving_along(seen.system, own, columns), cholesky)
+    if np.all(counts == 1.0):
+        return seen, cholesky
+    return seen, _counted(seen, counts, columns, cholesky)
+
+
+def _with_shares(
+    located: LocatedReadings, shares: Mapping[str, float]
+) -> tuple[LocatedReadings, Array]:
+    """Readings with slopes in full, and how much of the slope of each delay (d,) counts.
+
+    A delay that drifts is another at each node, and slopes of its streams are scaled instead.
+    """
+    delays = [p for p in located.parameters.process.each if is_delay(p)]
+    drifting = {n for p in delays if np.isfinite(p.correlation_time) for n in p.streams}
+    counts = [
+        1.0 if drifting.intersection(p.streams) else min(shares.get(n, 1.0) for n in p.streams)
+        for p in delays
+    ]
+    scaled = {name: share for name, share in shares.items() if name in drifting}
+    return replace(located, shares=scaled), np.array(counts)
+
+
+def _counted(
+    seen: NormalEquations, counts: Array, columns: Sequence[int], cholesky: Cholesky
+) -> Cholesky:
+    """The factor of normal equations in which a share of the slope of each delay (d,) counts.
+
+    Readings with scaled slopes would have states known as well as if no delay were in doubt. So
+    states given the delays hold, and what is noise is taken off the delays alone: both come to
+    the same for those.
+    """
+    process, node = seen.located.parameters.process, len(seen.rhs) // 2  # any, of a constant
+    cov, unit = np.zeros((len(columns), len(columns))), np.zeros_like(seen.rhs)
+    for row, column in enumerate(columns):
+        unit[node, column] = 1.0
+        cov[row] = cholesky.solve(unit)[node, columns]
+        unit[node, column] = 0.0
+    info = np.linalg.inv(0.5 * (cov + cov.T))
+    off = (process.mean - seen.located.parameters.values[node])[process.delay_columns]
+    stated = np.diag(process.std[process.delay_columns] ** -2.0)
+    told = info - stated
+    told_rhs = info @ cholesky.solve(seen.rhs)[node, columns] - stated @ off
+    seen.system.diagonal[np.ix_([node], columns, columns)] += counts[:, None] * told * counts - told
+    seen.rhs[node, columns] += counts * told_rhs - told_rhs
+    return factor(seen.system, cholesky)
 
 
 def delayed(
