@@ -164,7 +164,7 @@ def test_the_same_seeds_give_the_same_numbers_on_all_cores_as_in_a_plain_loop():
 
 @pytest.mark.slow
 def test_the_quick_run_computes_judges_and_draws_every_claim(tmp_path, capsys, monkeypatch):
-    fewer = {"table": 4, "beyond": 4, "moving": 2, "causes": 1, "passes": 0}
+    fewer = {"table": 6, "beyond": 6, "moving": 2, "causes": 1, "passes": 0}
     monkeypatch.setattr(studies, "QUICK_SEEDS", fewer)
     assert main(["reproduce", "--quick", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out

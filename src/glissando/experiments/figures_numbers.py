@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from glissando.geometry.se3 import Array
 from glissando.visualization.canvas import MM, canvas, legend
 
 if TYPE_CHECKING:
@@ -43,9 +44,15 @@ def _colour(shape: str) -> str:
     return _COLOURS.get(shape, "0.4")
 
 
-def _draw_row(axes: Any, entry: Mapping[str, float], row: float, unit: float, **look: Any) -> None:
+def _ends(entry: Mapping[str, Any], unit: float) -> Array:
+    """A value and the ends of its interval (3,); these are NaN where there is none."""
+    ends = np.array([entry[key] for key in ("value", "low", "high")], dtype=float)
+    return unit * ends
+
+
+def _draw_row(axes: Any, entry: Mapping[str, Any], row: float, unit: float, **look: Any) -> None:
     """A value with its interval, lying, at a height."""
-    value, low, high = (unit * entry[key] for key in ("value", "low", "high"))
+    value, low, high = _ends(entry, unit)
     axes.plot([low, high], [row, row], color=look["color"], lw=2.0, solid_capstyle="butt")
     axes.plot(value, row, ls="none", **{"marker": "o", "ms": 7.5, "zorder": 4, **_EDGE, **look})
 
@@ -161,15 +168,15 @@ def _draw_moving(
     unit = _KINDS[kind][1]
     for arm in arms.values():
         if arm["stroke"] == 0.0:
-            axes.axhspan(*(unit * arm[kind][k] for k in ("low", "high")), color=colour, alpha=0.18)
-            axes.axhline(unit * arm[kind]["value"], color=colour, lw=1.4, ls=_DASHES)
+            value, low, high = _ends(arm[kind], unit)
+            axes.axhspan(low, high, color=colour, alpha=0.18)
+            axes.axhline(value, color=colour, lw=1.4, ls=_DASHES)
     for stroke, marker in markers.items():
         sliding = [arm for arm in arms.values() if arm["stroke"] == stroke]
         sliding.sort(key=lambda arm: arm["slide_speed"])
         if sliding:
             speed = [arm["slide_speed"] * MM for arm in sliding]
-            numbers = [[arm[kind][k] for k in ("value", "low", "high")] for arm in sliding]
-            value, low, high = unit * np.transpose(numbers)
+            value, low, high = np.transpose([_ends(arm[kind], unit) for arm in sliding])
             look = {"color": colour, "marker": marker, "ms": 8, "lw": 1.4, "elinewidth": 2.0}
             axes.errorbar(speed, value, [value - low, high - value], **look, **_EDGE)
 

@@ -49,13 +49,19 @@ def _rows(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def _spread(entry: dict[str, float], scale: float, digits: int) -> str:
-    value, low, high = (f"{scale * entry[key]:.{digits}f}" for key in ("value", "low", "high"))
+def _spread(entry: dict[str, Any], scale: float, digits: int) -> str:
+    value = f"{scale * entry['value']:.{digits}f}"
+    if entry["low"] is None:
+        return value
+    low, high = (f"{scale * entry[key]:.{digits}f}" for key in ("low", "high"))
     return f"{value} ({low} … {high})"
 
 
-def _change(entry: dict[str, float]) -> str:
-    return f"{entry['value']:+.1f} % ({entry['low']:+.1f} … {entry['high']:+.1f})"
+def _change(entry: dict[str, Any]) -> str:
+    value = f"{entry['value']:+.1f} %"
+    if entry["low"] is None:
+        return value
+    return f"{value} ({entry['low']:+.1f} … {entry['high']:+.1f})"
 
 
 def _verdict(claim: dict[str, Any]) -> str:

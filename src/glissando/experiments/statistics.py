@@ -25,21 +25,8 @@ def rms(values: Array) -> Array:
     return np.sqrt(np.mean(values**2, axis=-1))
 
 
-def interval(values: Array) -> dict[str, float]:
-    """The value of the sample, and the central 95 % of its resamples.
-
-    Args:
-        values: A statistic (1 + R,) of the samples of `bootstrap`.
-
-    Returns:
-        `value`, `low` and `high`.
-    """
-    low, high = np.quantile(values[1:], [0.025, 0.975])
-    return {"value": float(values[0]), "low": float(low), "high": float(high)}
-
-
-def interval_of_few(values: Array, count: int, most: float | None = None) -> dict[str, Any]:
-    """The value of a sample of a few seeds, and its 95 % interval.
+def interval(values: Array, count: int, most: float | None = None) -> dict[str, Any]:
+    """The value of a sample of seeds, and its 95 % interval.
 
     Samples drawn again from a few seeds are too alike: of two seeds every one lies between both,
     where the truth is half of the time. The resamples are therefore spread about the value as
@@ -80,11 +67,13 @@ def summary(outcomes: Array, fixed: Array | None = None) -> dict[str, Any]:
     out: dict[str, Any] = {"seeds": seeds, "converged": float(np.mean(outcomes[:, 4]))}
     for column, name in enumerate(("position", "rotation")):
         ours = rms(outcomes[rows, column])
-        out[name] = interval(ours)
+        out[name] = interval(ours, seeds)
         if name == "position":
-            out["position_cm"] = interval(100.0 * ours)
+            out["position_cm"] = interval(100.0 * ours, seeds)
         if fixed is not None:
-            out[f"{name}_change"] = interval(100.0 * (ours / rms(fixed[rows, column]) - 1.0))
-    for column, name in enumerate(("nees", "coverage"), start=2):
-        out[name] = interval(np.mean(outcomes[rows, column], axis=1))
+            ratio = interval(ours / rms(fixed[rows, column]), seeds)
+            change = {at: None if of is None else 100.0 * (of - 1.0) for at, of in ratio.items()}
+            out[f"{name}_change"] = change
+    for column, name, most in ((2, "nees", None), (3, "coverage", 1.0)):
+        out[name] = interval(np.mean(outcomes[rows, column], axis=1), seeds, most)
     return out

@@ -40,7 +40,7 @@ CAUSES: dict[str, dict[str, Any]] = {
 _QUICK_CAUSES = ("as it is", "tubes without set")
 
 SEEDS = {"table": 100, "beyond": 12, "moving": 4, "causes": 5, "passes": 30}
-QUICK_SEEDS = {"table": 8, "beyond": 4, "moving": 2, "causes": 2, "passes": 0}
+QUICK_SEEDS = {"table": 8, "beyond": 8, "moving": 2, "causes": 2, "passes": 0}
 """Seeds of the table, of its arms beyond the paper's, of the moving robot, of the causes and of
 the robot with inertia, which a quick run leaves out."""
 

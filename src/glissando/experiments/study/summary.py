@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from glissando.experiments.statistics import bootstrap, interval_of_few
+from glissando.experiments.statistics import bootstrap, interval
 from glissando.experiments.study.plan import Study
 from glissando.geometry.se3 import Array
 
@@ -58,10 +58,10 @@ def _point(value: Any, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
         for name in ("position_rmse", "rotation_rmse"):
             rms = np.sqrt(mean(np.square([row[name] for row in sound])))
-            out[name] = interval_of_few(rms, seeds.size)
+            out[name] = interval(rms, seeds.size)
         for name, most in _MEANS.items():
             values = mean(np.array([float(row[name]) for row in sound]))
-            out[name] = interval_of_few(values, seeds.size, most)
+            out[name] = interval(values, seeds.size, most)
     return out
 
 
