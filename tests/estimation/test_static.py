@@ -213,6 +213,13 @@ def test_a_shape_that_steps_do_not_lead_to_is_left_to_the_estimator_of_recording
     assert len(warned) == 1
     assert "time" not in str(warned[0].message)
 
+    def singular(*_):
+        raise UnobservableError("It has no digits.")
+
+    monkeypatch.setattr(method, "_alone", singular)
+    with pytest.raises(UnobservableError, match=r"^Shape 0: It has no digits"):
+        estimate_static(prior, nodes, readings, options=SolverOptions(max_iterations=1))
+
 
 @pytest.mark.slow
 def test_truth_judges_shapes_by_their_numbers():

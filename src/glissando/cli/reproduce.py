@@ -25,7 +25,7 @@ Writes results.json, the figures and an animation. The same seeds give the same 
 _EXAMPLES = """\
 examples:
   glissando reproduce --out results            # everything, minutes on two cores
-  glissando reproduce --quick --out results    # ten of the claims, on fewer seeds, under a minute
+  glissando reproduce --quick --out results    # nine of the claims, on fewer seeds, under a minute
 
 exit status: 0 every claim holds; 1 one does not; 2 something given was wrong.
 """

@@ -158,7 +158,10 @@ def _complete(
     """Estimate by itself each shape that is left, in place; how these were found, rows refused."""
     reports, refused = dict[int, SolveReport](), defaultdict[str, list[int]](list)
     for k in np.flatnonzero(left):
-        one = _alone(prior, grid.arclength, readings, int(k), options)
+        try:
+            one = _alone(prior, grid.arclength, readings, int(k), options)
+        except UnobservableError as error:
+            raise UnobservableError(f"Shape {k}: {error}") from error
         reports[int(k)] = one.solve
         state.pose[k], state.strain[k] = one.state.pose[0], one.state.strain[0]
         cov[k], cross[k] = _node_blocks(one)
