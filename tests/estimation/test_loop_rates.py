@@ -1,8 +1,14 @@
 """A control loop may ask more often than sensors read: belief stays what was read."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+import separable_sessions
+from draws import law
 from glissando import CoilReadings, FixedLagSmoother, load_robot, se3
 
 BEND = np.array([0.0, 0.0, 1.0, 0.0, 2.0, 0.0])  # strain of the shape, which holds still
@@ -97,3 +103,12 @@ def test_a_loop_faster_than_nodes_may_follow_each_other_is_answered(name, begin,
             smoother.add(CoilReadings(**at, cov=STD**2, name="coil"))
         state = smoother.advance(time)
     assert np.linalg.norm(state.position[-1] - tip[:3, 3]) < 5.0 * state.std_position[-1]
+
+
+@law
+@given(scale=st.floats(0.1, 1e4))
+def test_every_time_scale_of_a_prior_runs_in_a_loop(scale):
+    """A robot whose errors last for minutes is told of at any rate, as one that forgets at once."""
+    prior = replace(separable_sessions.PRIOR, time_scale=scale)
+    nodes = np.linspace(0.0, separable_sessions.LENGTH, 3)
+    FixedLagSmoother(prior, nodes)

@@ -51,6 +51,7 @@ from glissando.model.state import State
 from glissando.solver.block_tridiagonal import Marginals
 
 _DATED = 4  # time nodes at least, where a delay is estimated: readings have to settle in them
+_STEP = 0.1  # s between the time nodes of a first call, if the prior has digits for it
 _BEYOND = 1.5  # times as far back, for slopes at the oldest node
 
 
@@ -337,10 +338,11 @@ def _merged(late: NDArray[np.bool_], early: StateEstimate, other: StateEstimate)
 
 def _meet(prior: Prior, arclength: Array) -> None:
     """Call what updates call of a prior, so that its kernels are there before any reading is."""
-    grid = Grid(arclength, [0.0, 0.1])
+    step = max(_STEP, prior.least_step(arclength))
+    grid = Grid(arclength, [0.0, step])
     rest = prior.rest_state(grid)
     for _ in (*prior.factors(grid, rest, rest, slice(0, 2)), *prior.static_factors(grid, rest)):
         pass
-    s, t = np.meshgrid([arclength[0], arclength[:2].mean()], [0.0, 0.05])
+    s, t = np.meshgrid([arclength[0], arclength[:2].mean()], [0.0, 0.5 * step])
     for points in sort_points(grid, s.ravel(), t.ravel()):
         prior.interpolate(grid, rest, rest, points)
