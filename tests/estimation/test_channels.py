@@ -181,7 +181,7 @@ def test_a_recording_states_the_channel_and_keeps_it(tmp_path):
 
 @pytest.mark.parametrize(
     ("wrong", "words"),
-    [({"angle": 40.0}, "give radians"), ({"pitch": 1e-3}, "give the pitch in metres")],
+    [({"angle": 10.0}, "10 degrees are 0.1745 rad"), ({"pitch": 1e-3}, "give the pitch in metres")],
 )
 def test_a_channel_in_other_units_is_one_sentence(wrong, words):
     with pytest.raises(SensorError, match=words):

@@ -141,6 +141,7 @@ def test_play_is_the_play_operator_once_it_was_taken_up_and_unknown_until_then()
         ({"end": [0.1, 0.1, 0.1, 0.2, 0.2, 0.25]}, "tendon 5 at 0.25 m, outside the robot of 0.2"),
         ({"radius": 4.5}, "radius is .* give metres"),
         ({"angle": [0, 120, 240, 30, 150, 270]}, "give radians, not degrees"),
+        ({"angle": [0, 10, 5, 3, 2, 1]}, "give radians, not degrees .up to a turn"),
         ({"stiffness": [1e4] * 5}, "stiffness is .*give 6 numbers"),
         ({"slack": 3.0}, "slack reaches 3 m"),
         ({"softness": 0.15}, "softness reaches 0.15 m"),

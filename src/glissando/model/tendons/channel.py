@@ -11,7 +11,8 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 
 _WIDEST = 0.1  # m
-_MOST_TURNED = 4.0 * np.pi  # rad; more would be degrees
+MOST_TURNED = 7.0
+"""Radians: a whole turn, and what learning may add to one. More is no direction but degrees."""
 LONGEST_PITCH = 20.0
 """Metres a turn, beyond which a channel was given in another unit, or is straight."""
 
@@ -38,8 +39,11 @@ class Channel:
                 f"A channel {self.radius:g} m from the backbone cannot be; give metres, below "
                 f"{_WIDEST:g}."
             )
-        if not abs(self.angle) <= _MOST_TURNED:
-            raise SensorError(f"A channel at the angle {self.angle:g} rad; give radians.")
+        if not abs(self.angle) <= MOST_TURNED:
+            raise SensorError(
+                f"A channel at the angle {self.angle:g} rad, more than a turn; give radians "
+                f"({self.angle:g} degrees are {np.deg2rad(self.angle):.4g} rad)."
+            )
         if not abs(self.pitch) >= self.radius:
             raise SensorError(
                 f"A channel that turns about the backbone every {self.pitch:g} m cannot be; give "

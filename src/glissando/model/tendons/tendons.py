@@ -18,7 +18,7 @@ from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
 from glissando.model.mechanics import Mechanics
 from glissando.model.table import Table
-from glissando.model.tendons.channel import LONGEST_PITCH, Channel
+from glissando.model.tendons.channel import LONGEST_PITCH, MOST_TURNED, Channel
 from glissando.model.tendons.replicate import Replicate, read_replicates
 
 _LONGEST = 50.0  # m of a robot
@@ -256,8 +256,10 @@ def _require_units(tendons: Any, fail: Callable[[str, str], Exception]) -> None:
         raise fail("friction", f"is {tendons.friction.tolist()}; give a coefficient, about 0.1.")
     if np.any(tendons.radius > _LARGEST_RADIUS):
         raise fail("radius", f"is {tendons.radius.tolist()}; give metres: 0.0045 for 4.5 mm.")
-    if np.any(np.abs(tendons.angle) > 4.0 * np.pi):
-        raise fail("angle", f"is {tendons.angle.tolist()}; give radians, not degrees.")
+    if np.any(np.abs(tendons.angle) > MOST_TURNED):
+        raise fail(
+            "angle", f"is {tendons.angle.tolist()}; give radians, not degrees (up to a turn)."
+        )
     if np.any(tendons.end > _LONGEST):
         raise fail("end", f"reaches {tendons.end.max():g} m; give metres, not millimetres.")
     if np.any(np.abs(tendons.pitch) < tendons.radius):
