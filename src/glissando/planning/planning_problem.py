@@ -32,6 +32,7 @@ _BETWEEN = 4  # places between two arclength nodes at which readings are lineari
 _FEWEST = 6  # of them over the whole reach
 _ROUNDING = 0.1  # of a reading's variance that may be lost to it
 _TOUCH = 1e-9  # m, by which a path may go beyond the reach, for rounding
+_SAME = 1e-9  # of a step, by which time nodes may be closer, for rounding
 _NODES = 100  # time steps of the grid ahead, if the estimate's are finer
 
 
@@ -170,12 +171,12 @@ def predict_information(
         motion: How the robot moves; by default it holds its newest shape, or that at rest.
         start: When the time ahead of a robot begins, s.
         step: Duration of a step of a path, s.
-        node_step: About the time between nodes, s; by default that of the estimate, unless that
-            makes more than 100 nodes.
+        node_step: About the time between nodes, s, a step of a path or longer; by default that of
+            the estimate, unless that makes more than 100 nodes.
 
     Raises:
-        GlissandoError: The reach leaves the body, the horizon is too short, `node_step` is not
-            positive, or the prior is too wide to plan with.
+        GlissandoError: The reach leaves the body, the horizon is too short, `node_step` is shorter
+            than a step or longer than the horizon, or the prior is too wide to plan with.
 
     >>> from glissando import load_robot
     >>> predict_information(load_robot("sliding700"), (0.64, 0.7), 5.0).steps
@@ -190,10 +191,10 @@ def predict_information(
     steps = round(horizon / step)
     if node_step is None:
         node_step = max(belief.node_step, horizon / _NODES)
-    elif not 0.0 < node_step <= horizon:
+    elif not (1.0 - _SAME) * step <= node_step <= horizon:
         raise GlissandoError(
-            f"Time nodes {node_step:g} s apart do not divide {horizon:g} s ahead; give more than 0 "
-            f"and no more than that."
+            f"Time nodes {node_step:g} s apart cannot be: they lie on the steps of a path, "
+            f"{step:g} s each, of {horizon:g} s ahead; give {step:g} to {horizon:g} s."
         )
     inside = max(1, round(node_step / step))
     cells = -(-steps // inside)
