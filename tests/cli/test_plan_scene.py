@@ -46,7 +46,7 @@ def test_the_example_is_planned_and_its_commands_are_such_as_predict_reads(
     assert time[-1] == 10.0
     assert np.abs(pulled[0]).max() < 1e-6
     slides = (folder / "motion" / "slides.csv").read_text().splitlines()
-    assert slides[0] == "time,slide_1"
+    assert slides[0] == "time,coil"
     assert len(slides) == len(time) + 1
     assert (folder / "motion" / "plan.svg").read_text(encoding="utf-8").count("<path") > 100
     view = (folder / "motion" / "view.html").read_text(encoding="utf-8")

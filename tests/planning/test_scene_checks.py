@@ -39,9 +39,9 @@ HERE, THERE = (0.03, 0.01, 0.19), (-0.03, 0.01, 0.19)
             "in the order of time",
         ),
         ({"slides": [Actuator(0.0, 0.9, 0.05, 0.1, 0.8)]}, "0.9 m along a robot of 0.2 m"),
-        ({"slides": [Actuator(-0.1, 0.1, 0.05, 0.1, 0.1)]}, "go from -0.1 to 0.1 m"),
+        ({"slides": [Actuator(-0.1, 0.1, 0.05, 0.1, 0.1)]}, "slide 1 go from -0.1 to 0.1 m"),
         ({"sensors": [replace(SENSOR, arclength_std=0.02)]}, "an arclength_std of 0.02 m"),
-        ({"slides": [Actuator(0.15, 0.05, 0.05, 0.1, 0.1)]}, "limits of slide 0"),
+        ({"slides": [Actuator(0.15, 0.05, 0.05, 0.1, 0.1)]}, "limits of slide 1"),
     ],
 )
 def test_a_mistake_is_one_sentence(changes, sentence):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -58,6 +59,18 @@ def plan_scene(options: argparse.Namespace) -> int:
     return 0
 
 
+def columns_of_slides(names: Sequence[str]) -> list[str]:
+    """Names of the columns of slides.csv: the streams', numbered where several have one.
+
+    >>> columns_of_slides(["coil", "probe", "coil"])
+    ['coil_1', 'probe', 'coil_2']
+    """
+    return [
+        f"{name}_{names[: k + 1].count(name)}" if names.count(name) > 1 else name
+        for k, name in enumerate(names)
+    ]
+
+
 def _report(plan: MotionPlan) -> dict[str, object]:
     at = plan.evaluation
     apart = at.clearances.mean  # of the body and obstacles
@@ -108,8 +121,8 @@ def _write(
         tendons = np.column_stack([time, values[:, :count]])
         write_table(building / "tendons.csv", ("time", *names), tendons)
         if plan.problem.scene.slides:
-            heads = [f"slide_{k + 1}" for k in range(len(plan.problem.scene.slides))]
             slides = np.column_stack([time, values[:, count:]])
+            heads = columns_of_slides([sensor.name for sensor in plan.problem.scene.sensors])
             write_table(building / "slides.csv", ("time", *heads), slides)
         write_report(building / "plan.json", report | stated(options))
         save_figure(scene_figure(plan), building / f"plan.{options.figure}")

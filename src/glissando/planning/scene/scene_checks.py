@@ -126,8 +126,9 @@ def _mistakes(scene: Scene, robot: Robot) -> Iterator[str]:
 
 
 def _mistakes_of_actuators(scene: Scene) -> Iterator[str]:
-    kinds = (("tendon", scene.tendons), ("slide", scene.slides))
-    for name, number, a in ((n, k, a) for n, each in kinds for k, a in enumerate(each)):
+    # as files count: columns of tendons from tendon_0, tables from [[slides]] 1
+    kinds = ("tendon", 0, scene.tendons), ("slide", 1, scene.slides)
+    for name, number, a in ((n, k, a) for n, first, of in kinds for k, a in enumerate(of, first)):
         if not a.lower < a.upper:
             yield f"The limits of {name} {number} are {a.lower:g} and {a.upper:g} m; give a range."
         if not a.lower - _ROUNDING <= a.start <= a.upper + _ROUNDING:
@@ -143,7 +144,7 @@ def _mistakes_of_actuators(scene: Scene) -> Iterator[str]:
 
 
 def _mistakes_of_slides(scene: Scene, robot: Robot) -> Iterator[str]:
-    for number, (slide, sensor) in enumerate(zip(scene.slides, scene.sensors, strict=False)):
+    for number, (slide, sensor) in enumerate(zip(scene.slides, scene.sensors, strict=False), 1):
         low, high = slide.lower - float(np.max(sensor.behind)), slide.upper
         if low < -_ROUNDING or high > robot.length + _ROUNDING:
             yield (
