@@ -7,6 +7,7 @@ import pytest
 
 from command_line import run
 from glissando import CoilReadings, estimate, load_robot
+from glissando.cli.progress import Work
 from glissando.io.netcdf import save_posterior
 from glissando.io.recording_folder import load_recording
 from glissando.io.shipped_robots import robot_file
@@ -44,6 +45,20 @@ def test_json_alone_is_printed_and_says_what_every_path_is_worth(capsys):
     assert set(told["paths"]) == {"planned", "oscillating", "fixed", "random"}
     assert all(0.0 <= path["value"] <= 1.0 for path in told["paths"].values())
     assert told["paths"]["planned"]["value"] <= told["paths"]["oscillating"]["value"]
+
+
+@pytest.mark.slow
+def test_how_many_paths_are_still_to_be_compared_is_shown(capsys, monkeypatch):
+    """At thousands of readings a second that is nearly all of the time."""
+    shown = []
+    monkeypatch.setattr(Work, "update", lambda work, *done: shown.append((work.doing, *done)))
+    assert run("plan", "--zone", "0.5:0.6", "--horizon", 1, "--json") == 0
+    json.loads(capsys.readouterr().out)
+    for part in dict.fromkeys(doing for doing, *_ in shown):
+        done, total = zip(*[counted for doing, *counted in shown if doing == part], strict=True)
+        assert set(total) == {len(done)}
+        assert list(done) == list(range(1, len(done) + 1))
+    assert len(shown) >= 8
 
 
 @pytest.mark.slow

@@ -135,20 +135,24 @@ def _plan_slide(options: argparse.Namespace) -> int:
     stream = stream_of(options, belief_of(source).sensor_parameters)
     sensor = sliding_sensor(robot, rate=options.rate, name=stream)
     reach = upper - stage.stroke, upper
-    with working("planning"):
+    with working("planning") as work:
         problem = predict_information(
             source, reach, options.horizon, sensor, node_step=options.node_step
         )
         path_objective = path_objective_of(problem, zones, objective)
         path_space = path_space_of(stage, upper, start, options.horizon)
-        plan = plan_slide(
-            path_objective, path_space, zones, speed_weight=options.speed_weight, seed=options.seed
-        )
+        weight = options.speed_weight
+        plan = plan_slide(path_objective, path_space, zones, speed_weight=weight, seed=options.seed)
         aims = baseline_paths(stage, upper, start, path_space.control_times, options.seed)
-        plan = best_evaluated(plan, path_objective, zones, aims, options.speed_weight)
-    baselines = baseline_paths(stage, upper, start, path_space.times, options.seed)
-    paths = {"planned": plan.arclength, **baselines}
-    results = {name: evaluate_path(problem, zones, objective, path) for name, path in paths.items()}
+        work.begin("comparing the plan with other paths")
+        plan = best_evaluated(plan, path_objective, zones, aims, weight, work.update)
+        work.begin("predicting what the estimate will state")
+        baselines = baseline_paths(stage, upper, start, path_space.times, options.seed)
+        paths = {"planned": plan.arclength, **baselines}
+        results = {}
+        for name, path in paths.items():
+            results[name] = evaluate_path(problem, zones, objective, path)
+            work.update(len(results), len(paths))
     if not options.speed_weight:
         _warn_of_better(results)
     report = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -99,6 +99,7 @@ def best_evaluated(
     zones: Sequence[Zone],
     targets: Mapping[str, Array],
     speed_weight: float = 0.0,
+    progress: Callable[[float, float], None] | None = None,
 ) -> Plan:
     """The best, by the estimator's own model, of a plan and of paths that aim at targets.
 
@@ -111,6 +112,7 @@ def best_evaluated(
         zones: The zones that count.
         targets: Arclengths (T + 2,) at the path space's `control_times` by name, m.
         speed_weight: Weight of the mean square speed, as `plan_slide` takes it.
+        progress: Called with the number of paths that are evaluated, and of all.
     """
     space, problem = plan.path_space, path_objective.problem
     values = []
@@ -119,6 +121,8 @@ def best_evaluated(
     for control in controls:
         path = space.arclength(control)
         values.append(evaluate_path(problem, zones, path_objective.objective, path).value)
+        if progress:
+            progress(len(values), len(controls))
     best = int(np.argmin(np.add(values, wear)))
     if best == 0:
         return plan
