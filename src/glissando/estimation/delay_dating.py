@@ -57,6 +57,11 @@ class DelayCounting:
         at = self.columns
         self._time, self._values, self._cov = time, values[at], cov[np.ix_(at, at)]
 
+    def lag(self, stream: str) -> float:
+        """Root mean square of a stream's delay, s, by what left the window; 0 where it has none."""
+        own = [stream in parameter.streams for parameter in self._delays.each]
+        return float(np.sqrt(np.sum(np.diagonal(self._cov)[own] + self._values[own] ** 2)))
+
     def correction(
         self, time: float, values: Array, info: Array, start: Array, shares: Array
     ) -> tuple[Array, Array]:

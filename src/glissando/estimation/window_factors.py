@@ -10,6 +10,7 @@ from glissando.estimation.channels import place_in_channel
 from glissando.estimation.delay_dating import DelayDating
 from glissando.estimation.held_readings import HeldReadings
 from glissando.estimation.linearized_readings import LinearizedReadings
+from glissando.estimation.undated_readings import moved_within, shows_motion, widened
 from glissando.estimation.window_nodes import Nodes
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
@@ -103,8 +104,11 @@ class WindowFactors:
         motion = None if self.dating is None else self.dating.motion
         located = replace(locate(grid, placed, *known, keep_all=True), motion=motion)
         factors = measurement_factors(self.prior, located, nodes.state, nodes.state)
+        undated = grid.before is None and not shows_motion(streams)
         for stream, rows, batch in factors:
             if self.dating is not None:
+                if undated:
+                    batch = self._undated(streams[stream].name, batch, nodes)
                 self.dating.see_slopes(streams[stream].name, batch)
             moving = self._moving(batch, nodes)
             weights = moving.terms.robust_weights()
@@ -116,3 +120,11 @@ class WindowFactors:
     def _moving(self, factors: Factors, nodes: Nodes) -> Factors:
         """Factors of a motion that moves with the delays, if there are any."""
         return factors if self.dating is None else self.dating.moving(factors, nodes)
+
+    def _undated(self, stream: str, factors: Factors, nodes: Nodes) -> Factors:
+        """Readings of a window that shows no motion, as unsure as their delay makes them."""
+        lag = 0.0 if self.dating is None else self.dating.counting.lag(stream)
+        if not lag:
+            return factors
+        moves = moved_within(self.prior, self._arclength, nodes.state, lag)
+        return widened(factors, moves.reshape(2 * [self._arclength.size, nodes.state.dof]))
