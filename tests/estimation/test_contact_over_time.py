@@ -8,8 +8,9 @@ from scipy.stats import chi2
 
 from glissando import FixedLagSmoother, Grid, SolverOptions, estimate
 from glissando.errors import GlissandoError
-from glissando.estimation.contact import ContactScan, scan_contacts, scan_of
+from glissando.estimation.contact import ContactScan, mixed, scan_contacts, scan_of
 from glissando.estimation.contact_evidence import error_priors
+from glissando.estimation.contact_force import force_at, nearest_nodes
 from glissando.model.priors.mechanical.intervals import still_columns, still_error
 from mechanical_rod import GRID, mechanical, moving
 from oracles import separable as oracle
@@ -203,3 +204,34 @@ def test_a_scan_counts_no_information_that_there_is_not(swaying, monkeypatch):
     assert value.max() < 1.0 + 1e-9
     assert value[0, 0].min() > 0.9  # beside the base, at the first time
     assert not scan.detected.any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_force_is_as_unsure_as_its_place_makes_it(seed):
+    """Drawn from one of several places, it has the mean and the covariance of all draws."""
+    rng = np.random.default_rng(seed)
+    shares, mean = rng.uniform(0.1, 1.0, 3), rng.standard_normal((3, 3))
+    roots = 0.3 * rng.standard_normal((3, 3, 3))
+    found, cov = mixed(shares, mean, roots @ np.swapaxes(roots, 1, 2))
+    at = rng.choice(3, 40_000, p=shares / shares.sum())
+    drawn = mean[at] + np.einsum("mij,mj->mi", roots[at], rng.standard_normal((at.size, 3)))
+    np.testing.assert_allclose(drawn.mean(axis=0), found, atol=0.03)
+    np.testing.assert_allclose(np.cov(drawn.T), cov, atol=0.05)
+
+
+def test_a_force_counts_every_node_at_which_it_may_act():
+    rng, times = np.random.default_rng(4), np.arange(0.0, 0.41, 0.1)
+    free, push = shape(np.zeros(3)), shape(0.25 * FORCE)
+    parts = [coil(rng, push if k >= 3 else free, [t]) for k, t in enumerate(times)]
+    prior = replace(PRIOR, time_scale=0.1)
+    posterior = estimate(prior, Grid(NODES, times), [joined(parts)], gate=None)
+    scan = scan_contacts(posterior, times, std_force=STD)
+    at = posterior.at(scan.arclength[scan.best[4]], times[4]).pose[:3, :3]
+    nodes = nearest_nodes(NODES, scan.arclength)
+    each = np.array([scan.shares[4, nodes == n].sum() for n in range(NODES.size)])
+    row = np.array([4])
+    found = [force_at(posterior, n, np.square(STD), row) for n in range(1, NODES.size)]
+    forces, covs = (np.concatenate(part) for part in zip(*found, strict=True))
+    mean, cov = mixed(each[1:], forces @ at, at.T @ covs @ at)
+    np.testing.assert_allclose(scan.force[4], mean, atol=0.05 * np.sqrt(np.diagonal(cov)).max())
+    np.testing.assert_allclose(scan.cov[4], cov, atol=0.1 * cov.max())

@@ -19,6 +19,7 @@ from glissando.estimation.contact_evidence import (
     error_priors,
     force_evidence,
     seen_times,
+    shares_of_length,
 )
 from glissando.estimation.contact_force import force_at, knows_forces, nearest_nodes
 from glissando.estimation.loads import require_mechanics
@@ -30,6 +31,7 @@ from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.quantiles import chi_square_quantile
 from glissando.solver.block_tridiagonal import factor
 
+_FEW = 0.01  # share of a node: what acts there hardly counts
 _LIKELY = chi_square_quantile(0.95, 3)  # squared error of a force, in its covariance
 
 
@@ -41,8 +43,9 @@ class ContactScan:
         time: Seconds (…), of time nodes.
         arclength: Places (C,), m.
         log_ratio: Log evidence (…, C) of a force there over none: the map over arclength and time.
-        force: Force (…, 3) at the likeliest place if it is there, N, body frame; of several times
-            NaN where the evidence is none, or the readings of a short window do not tell.
+        force: Force (…, 3) in the body's axes at the likeliest place, N: of one time if it is
+            there, of several wherever it acts. Of those NaN where the evidence is none, or the
+            readings of a short window do not tell.
         cov: Its covariance (…, 3, 3).
         evidence: Log evidence (…) of a force anywhere over none, all places being as likely.
         threshold: What `evidence` exceeds, without any contact, in a share `false_alarms` of times.
@@ -75,10 +78,16 @@ class ContactScan:
         return np.argmax(self.log_ratio, axis=-1)
 
     @property
+    def shares(self) -> Array:
+        """Chance (…, C) of each place, where a force acts at one of them."""
+        share = np.exp(self.log_ratio - np.max(self.log_ratio, axis=-1, keepdims=True))
+        share *= shares_of_length(self.arclength)
+        return np.asarray(share / np.sum(share, axis=-1, keepdims=True))
+
+    @property
     def std_place(self) -> Array:
         """Standard deviation (…) of the place, m, where a force acts at one of them."""
-        share = np.exp(self.log_ratio - np.max(self.log_ratio, axis=-1, keepdims=True))
-        share /= np.sum(share, axis=-1, keepdims=True)
+        share = self.shares
         mean = np.sum(share * self.arclength, axis=-1, keepdims=True)
         spacing = np.gradient(self.arclength) if self.arclength.size > 1 else np.zeros(1)
         square = (self.arclength - mean) ** 2 + spacing**2 / 12.0
@@ -161,7 +170,7 @@ def scan_contacts(
 def with_forces(
     posterior: Posterior, scans: Sequence[ContactScan], rows: Index, variance: Array
 ) -> list[ContactScan]:
-    """Scans of some of several times with the force at the likeliest place of each.
+    """Scans of some of several times with the force of each, whichever place it acts at.
 
     Args:
         posterior: The posterior.
@@ -172,24 +181,42 @@ def with_forces(
     out = [scan.without_force() for scan in scans]
     likely = np.array([bool(scan.evidence > scan.threshold) for scan in scans])
     likely &= knows_forces(posterior)
+    arclength = posterior.grid.arclength
     place = np.array([scan.arclength[scan.best] for scan in scans])
-    nodes = nearest_nodes(posterior.grid.arclength, place)
-    for node in np.unique(nodes[likely]):
-        which = np.flatnonzero(likely & (nodes == node))
-        force, cov = force_at(posterior, int(node), variance, rows[which])
-        turns = posterior.at(place[which], posterior.grid.time[rows[which]]).pose[:, :3, :3]
-        for k, f, c, turn in zip(which.tolist(), force, cov, turns, strict=True):
-            out[k] = _with_force(scans[k], turn.T @ f, turn.T @ c @ turn)
+    best, shares = nearest_nodes(arclength, place), np.zeros((len(scans), arclength.size))
+    for k in np.flatnonzero(likely).tolist():
+        np.add.at(shares[k], nearest_nodes(arclength, scans[k].arclength), scans[k].shares)
+        shares[k, best[k]] = max(shares[k, best[k]], _FEW)
+    shares[shares < _FEW] = 0.0
+    force, cov = np.zeros((*shares.shape, 3)), np.zeros((*shares.shape, 3, 3))
+    for node in np.flatnonzero(shares.any(axis=0)).tolist():
+        which = np.flatnonzero(shares[:, node])
+        force[which, node], cov[which, node] = force_at(posterior, node, variance, rows[which])
+    turns = posterior.at(place, posterior.grid.time[rows]).pose[:, :3, :3]
+    for k in np.flatnonzero(likely).tolist():
+        in_body = force[k] @ turns[k], turns[k].T @ cov[k] @ turns[k]
+        acts = _acts(scans[k], *(each[best[k]] for each in in_body))
+        mean, spread = mixed(shares[k], *in_body)
+        out[k] = replace(scans[k], force=mean, cov=spread, acts=acts)
     return out
 
 
-def _with_force(scan: ContactScan, force: Array, cov: Array) -> ContactScan:
-    """A scan with the force (3,) that readings of all times say acts, and its covariance (3, 3).
+def mixed(shares: Array, mean: Array, cov: Array) -> tuple[Array, Array]:
+    """Mean (3,) and covariance (3, 3) of what is one of C with chances in proportion to shares."""
+    shares = shares / np.sum(shares)
+    whole = shares @ mean
+    off = mean - whole
+    spread = np.einsum("c,ci,cj->ij", shares, off, off)
+    return whole, np.einsum("c,cij->ij", shares, cov) + spread
 
-    None acts where that may be none, and not what the readings of one time say.
+
+def _acts(scan: ContactScan, force: Array, cov: Array) -> Array:
+    """Whether the force (3,) that readings of all times say acts at the likeliest place does so.
+
+    None acts where that may be none, and not what the readings of one time say there.
     """
     none, said = (off @ np.linalg.solve(cov, off) < _LIKELY for off in (force, force - scan.force))
-    return replace(scan, force=force, cov=cov, acts=np.asarray(said or not none))
+    return np.asarray(said or not none)
 
 
 def scan_of(

@@ -131,9 +131,7 @@ class ForceEvidence:
     @property
     def shares(self) -> Array:
         """Share (C,) of the length that each place stands for."""
-        places = self.arclength
-        edges = np.concatenate([[0.0], 0.5 * (places[1:] + places[:-1]), places[-1:]])
-        return np.diff(edges) / edges[-1]
+        return shares_of_length(self.arclength)
 
     def given_force(self, variance: Array) -> tuple[Array, Array]:
         """Covariance (C, 3, 3) of a force of prior variance (3,), and ½ log det(1 + ΣB) (C,)."""
@@ -153,6 +151,12 @@ class ForceEvidence:
         drawn = noise @ even.reshape(len(even), 3 * few.arclength.size)
         ratio = 0.5 * np.square(drawn).reshape(_DRAWS, -1, 3).sum(axis=-1) - half_log_det
         return float(np.quantile(np.log(np.exp(ratio) @ few.shares), 1.0 - false_alarms))
+
+
+def shares_of_length(places: Array) -> Array:
+    """Share (C,) of the length that each of C places stands for."""
+    edges = np.concatenate([[0.0], 0.5 * (places[1:] + places[:-1]), places[-1:]])
+    return np.diff(edges) / edges[-1]
 
 
 def force_evidence(
