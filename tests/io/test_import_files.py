@@ -233,22 +233,40 @@ def test_a_missing_package_names_the_extra(tmp_path, monkeypatch):
         read_tracks(tmp_path / "a.bag")
 
 
-@pytest.mark.parametrize("several", ["frame_id", "child_frame_id"])
-def test_a_topic_of_several_frames_is_refused(several):
+def topic_of(stamps, logged, names=lambda k: {}):
+    """A topic of transforms with the stamps and the times of logging given, ns, and its bag."""
+
     def message(k):
-        name = {"frame_id": "world", "child_frame_id": "tip"} | {several: f"f{k % 2}"}
-        stamp = SimpleNamespace(sec=1, nanosec=k)
+        name = {"frame_id": "world", "child_frame_id": "tip"} | names(k)
+        stamp = SimpleNamespace(sec=stamps[k] // 10**9, nanosec=stamps[k] % 10**9)
         turn = SimpleNamespace(w=1.0, x=0.0, y=0.0, z=0.0)
         transform = SimpleNamespace(translation=turn, rotation=turn)
         header = SimpleNamespace(stamp=stamp, frame_id=name["frame_id"])
         return SimpleNamespace(header=header, transform=transform, **name)
 
-    kind = "geometry_msgs/msg/TransformStamped"
-    topic = SimpleNamespace(topic="/tf_tip", msgtype=kind)
-    bag = SimpleNamespace(
+    topic = SimpleNamespace(topic="/tf_tip", msgtype="geometry_msgs/msg/TransformStamped")
+    return SimpleNamespace(
         connections=[topic],
-        messages=lambda _: [(topic, k, k) for k in range(1, 5)],
+        messages=lambda _: [(topic, at, k) for k, at in enumerate(logged)],
         deserialize=lambda raw, _: message(raw),
     )
+
+
+@pytest.mark.parametrize("several", ["frame_id", "child_frame_id"])
+def test_a_topic_of_several_frames_is_refused(several):
+    bag = topic_of([1, 2, 3, 4], [1, 2, 3, 4], lambda k: {several: f"f{k % 2}"})
     with pytest.raises(RecordingError, match="poses of several frames, f0, f1"):
         rosbag._track(bag, "/tf_tip")
+
+
+@law
+@given(generators)
+def test_a_stamp_of_zero_is_a_time_only_on_a_clock_that_begins_there(rng):
+    steps = np.cumsum(rng.integers(1, 10**8, 6)) - 1
+    logged = 1778067471_000000000 + steps + rng.integers(10**6, 10**9)
+    simulated = (steps - steps[0]).tolist()
+    found = rosbag._track(topic_of(simulated, logged.tolist()), "/tf_tip")
+    np.testing.assert_allclose(found.time, 1e-9 * np.array(simulated), atol=1e-12)
+    unset = np.where(rng.random(6) < 0.5, 0, logged - 1000)
+    found = rosbag._track(topic_of(unset.tolist(), logged.tolist()), "/tf_tip")
+    np.testing.assert_allclose(found.time, 1e-9 * logged, rtol=0, atol=2e-6)

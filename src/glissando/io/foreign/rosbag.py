@@ -12,6 +12,7 @@ import numpy as np
 
 from glissando.errors import GlissandoError, RecordingError, needing
 from glissando.geometry import se3
+from glissando.io.foreign.columns import EPOCH
 from glissando.io.foreign.tracks import SAME_TIME, Track, plain_name
 from glissando.io.plain_file import largest_unpacked, require_plain
 
@@ -33,7 +34,8 @@ _WORLDS = ("", "world", "map")
 def read_bag(path: Path, topics: Sequence[str]) -> list[Track]:
     """Pose topics of a ROS 1 bag file or a ROS 2 bag folder.
 
-    Times are the headers' stamps, or the bag's where a header has none.
+    Times are the headers' stamps, or the bag's where a header has none. A stamp of zero is none,
+    except on a clock that begins there, as a simulator's does.
 
     Args:
         path: The bag.
@@ -104,20 +106,19 @@ def _chosen(path: Path, types: dict[str, str], topics: Sequence[str]) -> list[st
 def _track(bag: Any, topic: str) -> Track:
     """Poses of a topic in order of their stamps; the first of those that share one."""
     connections = [c for c in bag.connections if c.topic == topic]
-    rows: dict[int, list[float]] = {}
+    read: list[tuple[int, int, list[float]]] = []  # stamp, logged, numbers
     children: set[str] = set()
-    frames, missing, repeated = set[str](), 0, 0
+    frames, missing = set[str](), 0
     for connection, logged, raw in bag.messages(connections):
         message = bag.deserialize(raw, connection.msgtype)
         p, q = _KINDS[connection.msgtype](message)
         stamp = message.header.stamp
-        at = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec) or logged
+        at = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
         frames.add(message.header.frame_id)
         children.add(getattr(message, "child_frame_id", ""))
         numbers = [q.w, q.x, q.y, q.z, p.x, p.y, p.z]
         if np.all(np.isfinite(numbers)) and np.linalg.norm(numbers[:4]) > 0.5:
-            repeated += at in rows
-            rows.setdefault(at, numbers)
+            read.append((at, logged, numbers))
         else:
             missing += 1
     for names in (frames, children):
@@ -127,6 +128,10 @@ def _track(bag: Any, topic: str) -> Track:
                 f"Topic {topic} has poses of several frames, {', '.join(sorted(names))}; record "
                 f"each on a topic of its own."
             )
+    begins = _begins_at_zero([at for at, _, _ in read])
+    rows: dict[int, list[float]] = {}
+    for at, logged, numbers in read:
+        rows.setdefault(at if at or begins else logged, numbers)
     stamps, frame = sorted(rows), next(iter(frames), "")
     table = np.array([rows[t] for t in stamps]).reshape(-1, 7)
     pose = se3.pose(se3.rotation_from_quaternion(table[:, :4]), table[:, 4:])
@@ -134,4 +139,9 @@ def _track(bag: Any, topic: str) -> Track:
     frame = "world" if frame.strip("/") in _WORLDS else plain_name(frame)
     time = np.array([1e-9 * t for t in stamps])
     track = Track(name, "pose", time, pose, missing, frame, absolute=True, numbered=False)
-    return replace(track, dropped={SAME_TIME: repeated})
+    return replace(track, dropped={SAME_TIME: len(read) - len(rows)})
+
+
+def _begins_at_zero(stamps: Sequence[int]) -> bool:
+    """Whether a stamp of zero is a time, as of a simulator's clock, and not one that nobody set."""
+    return 0 < max(stamps, default=0) <= 1e9 * EPOCH
