@@ -56,6 +56,14 @@ def test_times_since_1970_begin_at_the_first_of_them(tmp_path):
     np.testing.assert_allclose(streams["b"].rows.time, np.arange(5) / 10 + 3, atol=1e-6)
 
 
+def test_times_count_from_the_first_reading_of_those_that_are_used(tmp_path):
+    rng, at = np.random.default_rng(0), 1.7e9 + np.arange(3.0)
+    tip = Track("tip", "pose", at, poses(rng, 3), absolute=True)
+    latched = replace(tip, name="latched", time=at - 3600.0)
+    write_recording([latched, tip], tmp_path / "out", Choices({"tip": 0.1}))
+    assert load_recording(tmp_path / "out").streams["tip"].rows.time[0] == 0.0
+
+
 def test_times_of_two_clocks_are_named_unless_a_shift_says_how_they_go_together(tmp_path):
     clock = track("a", absolute=True)
     clock, own = replace(clock, time=clock.time + 1.7e9), track("b")

@@ -67,8 +67,9 @@ def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> 
     _require_known(tracks, choices)
     robot = load_robot(choices.robot) if choices.robot else None
     tracks = [replace(t, absolute=t.absolute and _since_1970(t.time)) for t in tracks]
-    start = min((float(t.time[0]) for t in tracks if t.absolute), default=0.0)
-    _warn_of_two_clocks(tracks, choices, start)
+    used = [t for t in tracks if t.time.size and _is_used(t, choices)]
+    start = min((float(t.time[0]) for t in used if t.absolute), default=0.0)
+    _warn_of_two_clocks(used, choices, start)
     streams, lines = [], []
     for track in tracks:
         rows = _placed(track, choices, start, robot)
@@ -119,11 +120,15 @@ def _require_known(tracks: Sequence[Track], choices: Choices) -> None:
                 )
 
 
-def _warn_of_two_clocks(tracks: Sequence[Track], choices: Choices, start: float) -> None:
+def _is_used(track: Track, choices: Choices) -> bool:
+    """Whether it is known where a track's object sits; times count from the first of these."""
+    return track.name in choices.arclength or track.kind == "tendon"
+
+
+def _warn_of_two_clocks(used: Sequence[Track], choices: Choices, start: float) -> None:
     """Warn where some times count from 1970, others do not, and no shift says how they agree."""
-    placed = [t for t in tracks if t.name in choices.arclength or t.kind == "tendon"]
-    since = [t.name for t in placed if t.absolute]
-    own = [t.name for t in placed if not t.absolute and t.name not in choices.shift]
+    since = [t.name for t in used if t.absolute]
+    own = [t.name for t in used if not t.absolute and t.name not in choices.shift]
     if since and own:
         warnings.warn(
             f"Times of {', '.join(since)} count from 1970, those of {', '.join(own)} from a zero "
