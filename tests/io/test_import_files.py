@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hypothesis import given
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from draws import generators, law, poses
 from foreign_bags import bag, c3d
@@ -250,6 +251,15 @@ def topic_of(stamps, logged, names=lambda k: {}):
         messages=lambda _: [(topic, at, k) for k, at in enumerate(logged)],
         deserialize=lambda raw, _: message(raw),
     )
+
+
+def test_a_bag_without_poses_says_what_it_holds(tmp_path):
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer(tmp_path / "run", version=9) as out:
+        for topic, kind in {"/tf": "tf2_msgs/msg/TFMessage", "/imu": "sensor_msgs/msg/Imu"}.items():
+            out.add_connection(topic, kind, typestore=store)
+    with pytest.raises(RecordingError, match=r"It holds /tf \(tf2_msgs/msg/TFMessage\), /imu"):
+        read_tracks(tmp_path / "run")
 
 
 @pytest.mark.parametrize("several", ["frame_id", "child_frame_id"])

@@ -28,6 +28,7 @@ _KINDS = {
     ),
 }
 _WORK = 1 << 28  # bytes that reading takes beside what a bag unpacks to
+_SHOWN = 8  # topics that a refusal names
 _WORLDS = ("", "world", "map")
 
 
@@ -98,9 +99,19 @@ def _chosen(path: Path, types: dict[str, str], topics: Sequence[str]) -> list[st
         shown = ", ".join(usable) or "none"
         raise RecordingError(
             f"{path.name} has {'no pose topic ' + wrong[0] if wrong else 'no pose topics'}; those "
-            f"with stamped poses or transforms are: {shown}."
+            f"with stamped poses or transforms are: {shown}.{'' if usable else _held(types)}"
         )
     return list(topics) or usable
+
+
+def _held(types: dict[str, str]) -> str:
+    """A sentence of the topics that a bag without poses has, and what to do."""
+    held = [f"{topic} ({kind})" for topic, kind in types.items()]
+    more = f" and {len(held) - _SHOWN} more" if len(held) > _SHOWN else ""
+    return (
+        f" It holds {', '.join(held[:_SHOWN]) or 'no topics'}{more}; record each body's poses as "
+        f"PoseStamped, or write them to a text file, which --columns reads."
+    )
 
 
 def _track(bag: Any, topic: str) -> Track:
