@@ -101,6 +101,9 @@ def test_the_file_speaks_for_itself(posterior, tmp_path):
         assert dataset["component"].values.tolist() == COMPONENTS[:18]
         std = dataset["std"].sel(component="pose_x").values
         assert std == pytest.approx(posterior.std_pose()[..., 0])
+        said = {"units", "convention"}
+        assert not [name for name, held in dataset.data_vars.items() if not said & {*held.attrs}]
+        assert "T_wb" in dataset["pose"].attrs["frame"]
 
 
 def test_a_file_of_something_else_is_refused(tmp_path):

@@ -70,9 +70,12 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
     require_kind(posterior, Posterior, "posterior", "give what estimate returned, then the file")
     variables, coordinates, attributes = labelled(posterior)
     slab = ("slab", "slab_")
-    variables["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose, {})
-    variables["information"] = (("time", *slab), posterior.system.diagonal, {})
-    variables["information_below"] = (("time_step", *slab), posterior.system.lower, {})
+    of_pose = {"units": "m in the last column", "frame": "T_wb, body to world"}
+    of_states = {"convention": "arclength × component, then sensor parameters; for queries"}
+    of_steps = of_states | {"frame": "rows of a time node, columns of the one before"}
+    variables["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose, of_pose)
+    variables["information"] = (("time", *slab), posterior.system.diagonal, of_states)
+    variables["information_below"] = (("time_step", *slab), posterior.system.lower, of_steps)
     rolled = has_rolled(posterior.linearization_point, posterior.state)
     if rolled or isinstance(posterior.prior, MechanicalPrior):
         variables |= _linearization(posterior)
@@ -117,7 +120,8 @@ def _linearization(posterior: Posterior) -> Variables:
         each = [getattr(state, name) for state in posterior.linearized or ()]
         if each and each[0] is not None:
             entries = ("row", "column") if name == "pose" else ("component6",)
-            variables[key] = (("point", "time", "arclength", *entries), np.stack(each), {})
+            about = {"convention": f"{name} where information was linearised; for queries"}
+            variables[key] = (("point", "time", "arclength", *entries), np.stack(each), about)
     return variables
 
 
