@@ -104,11 +104,12 @@ class WindowFactors:
         motion = None if self.dating is None else self.dating.motion
         located = replace(locate(grid, placed, *known, keep_all=True), motion=motion)
         factors = measurement_factors(self.prior, located, nodes.state, nodes.state)
-        undated = grid.before is None and not shows_motion(streams)
+        undated = self.dating and grid.before is None and not shows_motion(streams)
         for stream, rows, batch in factors:
             if self.dating is not None:
                 if undated:
-                    batch = self._undated(streams[stream].name, batch, nodes)
+                    lag = self.dating.counting.lag(streams[stream].name)
+                    batch = self._undated(batch, nodes, lag) if lag else batch
                 self.dating.see_slopes(streams[stream].name, batch)
             moving = self._moving(batch, nodes)
             weights = moving.terms.robust_weights()
@@ -121,10 +122,7 @@ class WindowFactors:
         """Factors of a motion that moves with the delays, if there are any."""
         return factors if self.dating is None else self.dating.moving(factors, nodes)
 
-    def _undated(self, stream: str, factors: Factors, nodes: Nodes) -> Factors:
-        """Readings of a window that shows no motion, as unsure as their delay makes them."""
-        lag = 0.0 if self.dating is None else self.dating.counting.lag(stream)
-        if not lag:
-            return factors
+    def _undated(self, factors: Factors, nodes: Nodes, lag: float) -> Factors:
+        """Readings of a window that shows no motion, as unsure as a delay of `lag` s makes them."""
         moves = moved_within(self.prior, self._arclength, nodes.state, lag)
         return widened(factors, moves.reshape(2 * [self._arclength.size, nodes.state.dof]))
