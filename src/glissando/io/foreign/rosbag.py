@@ -1,10 +1,10 @@
-"""ROS 1 and ROS 2 bags: topics of stamped poses."""
+"""ROS 1 and ROS 2 bags: topics of stamped poses, and the frames of /tf."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,13 @@ import numpy as np
 
 from glissando.errors import GlissandoError, RecordingError, needing
 from glissando.geometry import se3
+from glissando.geometry.se3 import Array
 from glissando.io.foreign.columns import EPOCH
+from glissando.io.foreign.frame_tree import FrameTree
 from glissando.io.foreign.tracks import SAME_TIME, Track, plain_name
 from glissando.io.plain_file import largest_unpacked, require_plain
 
+_TREES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _KINDS = {
     "geometry_msgs/msg/PoseStamped": lambda m: (m.pose.position, m.pose.orientation),
     "geometry_msgs/msg/PoseWithCovarianceStamped": lambda m: (
@@ -27,13 +30,17 @@ _KINDS = {
         m.transform.rotation,
     ),
 }
+_KINDS |= dict.fromkeys(_TREES, _KINDS["geometry_msgs/msg/TransformStamped"])
 _WORK = 1 << 28  # bytes that reading takes beside what a bag unpacks to
 _SHOWN = 8  # topics that a refusal names
 _WORLDS = ("", "world", "map")
 
 
 def read_bag(path: Path, topics: Sequence[str]) -> list[Track]:
-    """Pose topics of a ROS 1 bag file or a ROS 2 bag folder.
+    """Pose topics of a ROS 1 bag file or a ROS 2 bag folder, and every frame that moves in /tf.
+
+    A frame's poses are those in the frame at the root of its tree, by the transforms of /tf_static
+    and of frames on the way, which are interpolated at its times.
 
     Times are the headers' stamps, or the bag's where a header has none. A stamp of zero is none,
     except on a clock that begins there, as a simulator's does.
@@ -56,8 +63,10 @@ def read_bag(path: Path, topics: Sequence[str]) -> list[Track]:
             require_plain(file, 1 << 40)
         size = sum(file.stat().st_size for file in files)
         with _bounded_memory(size), AnyReader([path], default_typestore=known) as bag:
-            chosen = _chosen(path, {c.topic: c.msgtype for c in bag.connections}, topics)
-            return [_track(bag, topic) for topic in chosen]
+            types = {c.topic: c.msgtype for c in bag.connections}
+            chosen = _chosen(path, types, topics)
+            static = [topic for topic, kind in types.items() if _is_static(topic, kind)]
+            return _tracks(bag, types, chosen, static)
     except GlissandoError:
         raise
     except MemoryError:
@@ -94,7 +103,7 @@ def _bounded_memory(size: int) -> Iterator[None]:
 
 def _chosen(path: Path, types: dict[str, str], topics: Sequence[str]) -> list[str]:
     wrong = [topic for topic in topics if types.get(topic) not in _KINDS]
-    usable = [topic for topic, kind in types.items() if kind in _KINDS]
+    usable = [t for t, kind in types.items() if kind in _KINDS and not _is_static(t, kind)]
     if wrong or not usable:
         shown = ", ".join(usable) or "none"
         raise RecordingError(
@@ -110,47 +119,92 @@ def _held(types: dict[str, str]) -> str:
     more = f" and {len(held) - _SHOWN} more" if len(held) > _SHOWN else ""
     return (
         f" It holds {', '.join(held[:_SHOWN]) or 'no topics'}{more}; record each body's poses as "
-        f"PoseStamped, or write them to a text file, which --columns reads."
+        f"PoseStamped or on /tf, or write them to a text file, which --columns reads."
     )
 
 
-def _track(bag: Any, topic: str) -> Track:
-    """Poses of a topic in order of their stamps; the first of those that share one."""
-    connections = [c for c in bag.connections if c.topic == topic]
-    read: list[tuple[int, int, list[float]]] = []  # stamp, logged, numbers
-    children: set[str] = set()
-    frames, missing = set[str](), 0
-    for connection, logged, raw in bag.messages(connections):
+def _is_static(topic: str, kind: str) -> bool:
+    """Whether a topic has the transforms that hold at all times."""
+    return kind in _TREES and topic.rpartition("/")[2] == "tf_static"
+
+
+@dataclass
+class _Poses:
+    """Poses of a topic or of one of its frames: stamps, times of logging, numbers; all names."""
+
+    read: list[tuple[int, int, list[float]]] = field(default_factory=list)
+    frames: set[str] = field(default_factory=set)
+    children: set[str] = field(default_factory=set)
+    missing: int = 0
+
+
+def _tracks(
+    bag: Any, types: dict[str, str], chosen: Sequence[str], static: Sequence[str]
+) -> list[Track]:
+    """Tracks of topics, and of the frames of those that hold many."""
+    fixed: dict[str, tuple[str, Array]] = {}
+    for topic in static:
+        for child, poses in _poses(bag, topic, each=True).items():
+            track = _track(f"{topic} {child}", poses)
+            if track.time.size:
+                fixed[_plain(child)] = track.frame, track.values[-1]
+    out: list[Track] = []
+    for topic in chosen:
+        every = _poses(bag, topic, each=types[topic] in _TREES)
+        if types[topic] not in _TREES:
+            out += [_track(topic, poses) for poses in every.values()]
+            continue
+        moving = {_plain(child): _track(f"{topic} {child}", of) for child, of in every.items()}
+        tree = FrameTree(fixed, moving)
+        out += [tree.at_root(child) for child in moving]
+    return out
+
+
+def _poses(bag: Any, topic: str, *, each: bool) -> dict[str, _Poses]:
+    """What was read of a topic, under the name of its child frame where `each` is of its own."""
+    out: dict[str, _Poses] = {} if each else {"": _Poses()}
+    for connection, logged, raw in bag.messages([c for c in bag.connections if c.topic == topic]):
         message = bag.deserialize(raw, connection.msgtype)
-        p, q = _KINDS[connection.msgtype](message)
-        stamp = message.header.stamp
-        at = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-        frames.add(message.header.frame_id)
-        children.add(getattr(message, "child_frame_id", ""))
-        numbers = [q.w, q.x, q.y, q.z, p.x, p.y, p.z]
-        if np.all(np.isfinite(numbers)) and np.linalg.norm(numbers[:4]) > 0.5:
-            read.append((at, logged, numbers))
-        else:
-            missing += 1
-    for names in (frames, children):
+        for part in message.transforms if each else [message]:
+            p, q = _KINDS[connection.msgtype](part)
+            child = getattr(part, "child_frame_id", "")
+            of = out.setdefault(child, _Poses()) if each else out[""]
+            of.frames.add(part.header.frame_id)
+            of.children.add(child)
+            stamp, numbers = part.header.stamp, [q.w, q.x, q.y, q.z, p.x, p.y, p.z]
+            if np.all(np.isfinite(numbers)) and np.linalg.norm(numbers[:4]) > 0.5:
+                at = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+                of.read.append((at, logged, numbers))
+            else:
+                of.missing += 1
+    return out
+
+
+def _track(topic: str, poses: _Poses) -> Track:
+    """Poses of a topic in order of their stamps; the first of those that share one."""
+    for names in (poses.frames, poses.children):
         names.discard("")
         if len(names) > 1:
             raise RecordingError(
                 f"Topic {topic} has poses of several frames, {', '.join(sorted(names))}; record "
                 f"each on a topic of its own."
             )
-    begins = _begins_at_zero([at for at, _, _ in read])
+    begins = _begins_at_zero([at for at, _, _ in poses.read])
     rows: dict[int, list[float]] = {}
-    for at, logged, numbers in read:
+    for at, logged, numbers in poses.read:
         rows.setdefault(at if at or begins else logged, numbers)
-    stamps, frame = sorted(rows), next(iter(frames), "")
+    stamps, frame = sorted(rows), _plain(next(iter(poses.frames), ""))
     table = np.array([rows[t] for t in stamps]).reshape(-1, 7)
     pose = se3.pose(se3.rotation_from_quaternion(table[:, :4]), table[:, 4:])
     name = plain_name(topic.replace("/", "_").strip("_"))
-    frame = "world" if frame.strip("/") in _WORLDS else plain_name(frame)
     time = np.array([1e-9 * t for t in stamps])
-    track = Track(name, "pose", time, pose, missing, frame, absolute=True, numbered=False)
-    return replace(track, dropped={SAME_TIME: len(read) - len(rows)})
+    track = Track(name, "pose", time, pose, poses.missing, frame, absolute=True, numbered=False)
+    return replace(track, dropped={SAME_TIME: len(poses.read) - len(rows)})
+
+
+def _plain(frame: str) -> str:
+    """A frame's name as tracks have it."""
+    return "world" if frame.strip("/") in _WORLDS else plain_name(frame)
 
 
 def _begins_at_zero(stamps: Sequence[int]) -> bool:
