@@ -1,6 +1,7 @@
 """Fibres whose cores are stated wrong are found beside a tracked body, and sound ones pass."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from glissando.evaluation.plausibility.fibre import check_fibres
 from glissando.evaluation.plausibility.session import Streams
 
 ROBOT = load_robot("tdcr466")
+LOADED = Path(__file__).parents[2] / "benchmarks" / "real.toml"  # loads act at a point of it
 TIME = np.arange(0.0, 4.0, 0.1)
 PLACES = (np.arange(20) + 0.5) * ROBOT.length / 20
 STEPS = 100
@@ -67,6 +69,15 @@ def test_cores_that_are_stated_wrong_are_named(cause):
         (finding,) = check_fibres(Streams(ROBOT, (wrong,), (tip,)))
         assert cause in finding.sentence
         assert finding.refusal
+
+
+@pytest.mark.parametrize(
+    "robot", ["tdcr466", "tdcr466-segments", LOADED], ids=["one", "two", "rod"]
+)
+def test_robots_of_every_prior_are_checked(robot):
+    fibre, tip = session(1)
+    wrong = replace(fibre, core_angle=-ANGLE)
+    assert len(list(check_fibres(Streams(load_robot(robot), (wrong,), (tip,))))) == 1
 
 
 def test_sound_fibres_pass_warm_and_twisted_and_without_a_body():

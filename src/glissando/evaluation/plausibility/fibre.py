@@ -65,11 +65,11 @@ def _bodies(streams: Streams) -> list[Readings]:
 
 def _compared(streams: Streams, r: FbgReadings, body: Readings) -> Finding | None:
     """The finding that a fibre does not lead to a body, and which mistake explains that."""
-    length, prior = streams.robot.length, streams.robot.prior
+    robot, length = streams.robot, streams.robot.length
     stamps = np.unique(r.time)
     moments = stamps[evenly_chosen(stamps.size, _MOMENTS)]
     place, pose, weight = poses_at(body, moments)
-    base = prior.rest_state(Grid([0.0, length], [0.0])).pose[0, 0]
+    base = robot.prior.rest_state(Grid(robot.arclength_nodes, [0.0])).pose[0, 0]
     rows = [np.flatnonzero(r.time == time) for time in moments]
     told = [
         k for k in range(moments.size)
