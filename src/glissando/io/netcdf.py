@@ -70,7 +70,7 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
     require_kind(posterior, Posterior, "posterior", "give what estimate returned, then the file")
     variables, coordinates, attributes = labelled(posterior)
     slab = ("slab", "slab_")
-    of_pose = {"units": "m in the last column", "frame": "T_wb, body to world"}
+    of_pose = {"units": "m in its last column", "frame": "T_wb, body to world"}
     of_states = {"convention": "arclength × component, then sensor parameters; for queries"}
     of_steps = of_states | {"frame": "rows of a time node, columns of the one before"}
     variables["pose"] = (("time", "arclength", "row", "column"), posterior.state.pose, of_pose)
