@@ -12,7 +12,6 @@ import pytest
 
 from command_line import run
 from glissando import load_robot
-from glissando.calibration.robot import workers
 from glissando.calibration.robot.case import RecordingCase
 from glissando.calibration.robot.hyperparameters import Parameter, moved
 from glissando.calibration.robot.learn import End, Learned
@@ -23,19 +22,8 @@ from glissando.cli.learn_report import _cells, as_json
 from glissando.io.recording_folder import load_recording
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.tendons.replicate import TIP
-from learn_drawn import same_process, write_arc
 
 WINDOW = ["--window", 0, 1]
-
-
-@pytest.fixture
-def in_process(monkeypatch):
-    monkeypatch.setattr(workers, "ProcessPoolExecutor", same_process)
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    return write_arc(tmp_path_factory.mktemp("recordings") / "arc")
 
 
 @pytest.mark.slow

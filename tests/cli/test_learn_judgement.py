@@ -9,23 +9,11 @@ import pytest
 
 from command_line import run
 from glissando import GlissandoError, load_robot
-from glissando.calibration.robot import workers
 from glissando.cli import learn_judgement
 from glissando.cli.console import truth_cells
 from glissando.evaluation.run import run_estimate
-from learn_drawn import same_process, write_arc
 
 WINDOW = ["--window", 0, 1]
-
-
-@pytest.fixture
-def in_process(monkeypatch):
-    monkeypatch.setattr(workers, "ProcessPoolExecutor", same_process)
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    return write_arc(tmp_path_factory.mktemp("recordings") / "arc")
 
 
 def unmarked(recording, tmp_path):
