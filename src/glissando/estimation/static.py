@@ -124,13 +124,13 @@ def estimate_static(
         left |= _contradicted(prior, located, state)
     reports, refused = _complete(prior, grid, given, options, left, state, cov, cross)
     _warn(reports)
-    outcomes = [Outcome.CONVERGED] * count
-    for k, report in reports.items():
-        outcomes[k] = report.outcome
+    outcomes = tuple(
+        reports[k].outcome if k in reports else Outcome.CONVERGED for k in range(count)
+    )
     if isinstance(prior, MechanicalPrior):
         with one_thread():
             cov, cross = _with_curvature(prior, located, state, cov, cross)  # (31)
-    return StaticPosterior(prior, grid, state, cov, cross, tuple(outcomes), refused)
+    return StaticPosterior(prior, grid, state, cov, cross, outcomes, refused)
 
 
 def _contradicted(prior: Prior, located: LocatedReadings, state: State) -> NDArray[np.bool_]:
