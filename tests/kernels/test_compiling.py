@@ -5,9 +5,11 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from subprocess import PIPE
 
+import numpy as np
 import pytest
 
 import glissando._kernels
@@ -196,3 +198,36 @@ def test_an_estimate_begins_with_all_kernels_that_it_calls(robot, way, tmp_path)
     command = [sys.executable, "-c", LOADS, robot, way]
     run = subprocess.run(command, check=True, capture_output=True, text=True)
     assert set(run.stdout.split()) <= {"se3"}
+
+
+class _Part:
+    """A kernel as the line on compiling sees it."""
+
+    def __init__(self, name, work):
+        self.file, self.work = name, lambda: work
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_line_counts_only_what_is_compiled_now(seed, tmp_path, monkeypatch, capsys):
+    """What an earlier process left, most of it even, is no progress of this one."""
+    rng = np.random.default_rng(seed)
+    parts = [_Part(f"kernel{i}", int(work)) for i, work in enumerate(rng.integers(1, 100, 12))]
+    before, done = {p.file for p in parts[:6]}, {p.file for p in parts[: rng.integers(6, 12)]}
+    found = iter([before, before, done, done])
+    over = threading.Event()
+
+    def on_disk(_):
+        files = next(found)
+        if files is done:
+            over.set()
+        return files
+
+    monkeypatch.setattr(jit, "_on_disk", on_disk)
+    monkeypatch.setattr(jit, "_NOTICE", 0.001)
+    monkeypatch.setattr(jit, "_AGAIN", 0.001)
+    jit._say(parts, tmp_path, over)
+    first, *others = capsys.readouterr().err.splitlines()
+    assert "% done" not in first  # nothing of it is compiled yet
+    share = sum(p.work() for p in parts[6 : len(done)]) / sum(p.work() for p in parts[6:])
+    said = [float(n) for line in others for n in re.findall(r"; (\d+) % done", line)]
+    assert said == ([round(100 * share)] if share else [])

@@ -245,13 +245,17 @@ def _compiling(claims: str, names: list[str], folder: Path) -> subprocess.Popen[
 
 
 def _say(kernels: list[Kernel], folder: Path, over: threading.Event) -> None:
-    """Say what is being compiled, and how much of it is done, until it is over."""
-    work = {kernel.file: kernel.work() for kernel in kernels}
+    """Say what is being compiled, and how much of it is done, until it is over.
+
+    What an earlier process left compiled takes no time now, so it counts for nothing.
+    """
+    before = _on_disk(folder)
+    work = {kernel.file: kernel.work() for kernel in kernels if kernel.file not in before}
     began, wait = time.monotonic(), _NOTICE
     while not over.wait(wait):
         wait, elapsed = _AGAIN, time.monotonic() - began
         done = sum(work[file] for file in _on_disk(folder) & work.keys())
-        share = min(done / sum(work.values()), 0.99)
+        share = min(done / max(sum(work.values()), 1), 0.99)
         what = f"compiling its inner loops, once, into {folder}"
         if share > 0.0:
             what += f"; {100 * share:.0f} % done, about {elapsed * (1 / share - 1):.0f} s left"
