@@ -111,6 +111,16 @@ def test_a_mount_counts_by_the_stream_that_slides(tmp_path, capsys):
 
 
 @pytest.mark.slow
+def test_how_many_designs_are_still_to_be_planned_is_shown(capsys, monkeypatch):
+    shown = []
+    monkeypatch.setattr(Work, "update", lambda work, *done: shown.append(done))
+    sweep = ("--strokes", "0.03,0.06", "--speeds", "0.024", "--rates", "40", "--coils", "1,2")
+    assert run("design", "--zone", "0.5:0.6", "--horizon", 1, "--json", *sweep) == 0
+    assert len(json.loads(capsys.readouterr().out)["designs"]) == 4
+    assert shown == [(1, 4), (2, 4), (3, 4), (4, 4)]
+
+
+@pytest.mark.slow
 def test_designs_are_compared_and_drawn(tmp_path, capsys):
     sweep = ("--strokes", "0.03,0.06", "--speeds", "0.024", "--rates", "40", "--coils", "1,2")
     given = ("--zone", "0.5:0.6", "--horizon", 2, "--out", tmp_path, "--json")

@@ -95,23 +95,29 @@ def _design(options: argparse.Namespace) -> int:
     _require_sweep(options)
     stage, upper = stage_of(options)
     robot = load_robot(options.robot)
-    strokes = [part * stage.stroke for part in (0.5, 1.0, 2.0)]
-    with working("planning every design"):
-        designs = list(
-            sweep(
-                robot,
-                [read_zone(text) for text in options.zone],
-                strokes=options.strokes or [s for s in strokes if s <= upper],
-                speeds=options.speeds or [0.5 * stage.speed, stage.speed],
-                rates=options.rates,
-                coils=[int(count) for count in options.coils],
-                acceleration=stage.acceleration,
-                upper=upper,
-                horizon=options.horizon,
-                objective=objective_named(options.objective, options.bound, robot.length),
-                stream=stream_of(options, robot.sensor_parameters),
-            )
-        )
+    strokes = options.strokes or [
+        part * stage.stroke for part in (0.5, 1.0, 2.0) if part * stage.stroke <= upper
+    ]
+    speeds = options.speeds or [0.5 * stage.speed, stage.speed]
+    zones = [read_zone(text) for text in options.zone]
+    most = len(strokes) * len(speeds) * len(options.rates) * len(options.coils)
+    designs: list[Design] = []
+    with working("planning every design") as work:
+        for each in sweep(
+            robot,
+            zones,
+            strokes=strokes,
+            speeds=speeds,
+            rates=options.rates,
+            coils=[int(count) for count in options.coils],
+            acceleration=stage.acceleration,
+            upper=upper,
+            horizon=options.horizon,
+            objective=objective_named(options.objective, options.bound, robot.length),
+            stream=stream_of(options, robot.sensor_parameters),
+        ):
+            designs.append(each)
+            work.update(len(designs), most)
     best = pareto_front(designs)
     rows = [{**asdict(d), "best": bool(b)} for d, b in zip(designs, best, strict=True)]
     report = {"zones": options.zone, "designs": rows}
