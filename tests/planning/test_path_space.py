@@ -1,11 +1,13 @@
 """Paths of a stage: whatever they are asked to follow, they keep every limit at every instant."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import cho_factor
 
 from draws import generators
 from glissando.errors import GlissandoError
@@ -152,3 +154,22 @@ def test_a_descent_among_kinks_ends_inside_however_long_it_is(seed):
     point, least = descend(highest, np.zeros(size), polytope, 500, tolerance=1e-9)
     assert least == highest(point)[0] <= highest(np.zeros(size))[0]
     assert np.all(np.abs(rows @ point) < polytope[2])
+
+
+@pytest.mark.slow
+def test_the_limits_of_a_long_path_cost_a_step_of_its_descent_little():
+    """Less than the factor of its curvature: of each limit three control points at most count."""
+    space = PathSpace(0.6, 0.7, 0.024, 0.1, 0.1, 1500, 0.65)
+    bowl = np.diag(np.linspace(1.0, 2.0, space.steps - 1))
+
+    def value(x):
+        return 1.0 + 0.5 * (x - 0.64) @ bowl @ (x - 0.64), bowl @ (x - 0.64)
+
+    start = np.full(space.steps - 1, 0.65)
+    begun = time.process_time()
+    for _ in range(3):
+        cho_factor(bowl + 0.1)
+    factors = time.process_time() - begun
+    begun = time.process_time()
+    descend(value, start, space.polytope, 3)
+    assert time.process_time() - begun < 5.0 * factors

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array
 
 from glissando.geometry.se3 import Array
 
@@ -24,6 +25,7 @@ _DAMPED = 0.2  # of the curvature so far, the least that a step may measure
 
 Polytope = tuple[Array, Array, Array]
 """A (m, n), centre (m,) and half width (m,) of |A x − centre| ≤ width."""
+_Sparse = tuple[csr_array, Array, Array]
 
 
 def descend(
@@ -45,24 +47,25 @@ def descend(
     Returns:
         The best point (n,), strictly inside, and its value.
     """
+    sparse = csr_array(polytope[0]), *polytope[1:]  # of a path at most three numbers a row
     x, (value, gradient) = start, function(start)
     scale = max(abs(value), 1e-300)
     curvature = np.zeros((x.size, x.size))
-    weight, best, values = _BARRIER * scale / len(polytope[1]), (x, value), [value]
+    weight, best, values = _BARRIER * scale / len(sparse[1]), (x, value), [value]
     for _ in range(iterations):
-        barrier_gradient, barrier_curvature = _barrier_derivatives(x, polytope)
+        barrier_gradient, barrier_curvature = _barrier_derivatives(x, sparse)
         total = gradient + weight * barrier_gradient
         try:
             step = -cho_solve(cho_factor(curvature + weight * barrier_curvature), total)
         except np.linalg.LinAlgError:
             break  # at a kink of the function its measured curvature is singular to rounding
         decrease = float(total @ step)
-        share = min(1.0, _NEAREST * _steps_to_boundary(x, step, polytope))
-        merit = value + weight * _barrier(x, polytope)
+        share = min(1.0, _NEAREST * _steps_to_boundary(x, step, sparse))
+        merit = value + weight * _barrier(x, sparse)
         for _ in range(_TRIALS):
             new_x = x + share * step
             new_value, new_gradient = function(new_x)
-            new_merit = new_value + weight * _barrier(new_x, polytope)
+            new_merit = new_value + weight * _barrier(new_x, sparse)
             if new_merit <= merit + _ARMIJO * share * decrease:
                 break
             share *= _SHRINK
@@ -71,7 +74,7 @@ def descend(
         curvature = _updated(curvature, new_x - x, new_gradient - gradient)
         x, value, gradient = new_x, new_value, new_gradient
         best = min(best, (x, value), key=lambda point: point[1])
-        weight = max(_FALL * weight, _LEAST * scale / len(polytope[1]))
+        weight = max(_FALL * weight, _LEAST * scale / len(sparse[1]))
         values.append(value)
         if len(values) > 4 and values[-4] - value < tolerance * scale:
             break
@@ -84,22 +87,22 @@ def is_inside(x: Array, polytope: Polytope) -> bool:
     return bool(np.all(np.abs(rows @ x - centre) < width))
 
 
-def _barrier(x: Array, polytope: Polytope) -> float:
+def _barrier(x: Array, polytope: _Sparse) -> float:
     """−Σ log(1 − u²) with u = (A x − centre) / width."""
     rows, centre, width = polytope
     return -float(np.sum(np.log1p(-(((rows @ x - centre) / width) ** 2))))
 
 
-def _barrier_derivatives(x: Array, polytope: Polytope) -> tuple[Array, Array]:
+def _barrier_derivatives(x: Array, polytope: _Sparse) -> tuple[Array, Array]:
     """Gradient (n,) and curvature (n, n) of the barrier."""
     rows, centre, width = polytope
     u = (rows @ x - centre) / width
     near, far = 1.0 / (1.0 - u), 1.0 / (1.0 + u)
-    scaled = rows * ((near**2 + far**2) / width**2)[:, None]
-    return rows.T @ ((near - far) / width), rows.T @ scaled
+    scaled = rows.multiply(((near**2 + far**2) / width**2)[:, None])
+    return rows.T @ ((near - far) / width), (rows.T @ scaled).toarray()
 
 
-def _steps_to_boundary(x: Array, step: Array, polytope: Polytope) -> float:
+def _steps_to_boundary(x: Array, step: Array, polytope: _Sparse) -> float:
     """How many such steps lead to the boundary."""
     rows, centre, width = polytope
     u, move = (rows @ x - centre) / width, rows @ step / width
