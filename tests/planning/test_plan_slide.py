@@ -134,3 +134,13 @@ def test_the_same_seed_gives_the_same_plan_and_more_starts_never_a_worse_one():
     plans = [plan_slide(path_objective, space, [ZONE], candidates=count) for count in (1, 1, 6)]
     np.testing.assert_array_equal(plans[0].control, plans[1].control)
     assert plans[2].value <= plans[0].value * (1.0 + 1e-3)
+
+
+def test_how_much_of_a_search_is_done_only_grows():
+    _, space, path_objective = small_task("kinematic")
+    shown = []
+    plan_slide(path_objective, space, [ZONE], progress=lambda *counted: shown.append(counted))
+    done, total = zip(*shown, strict=True)
+    assert len(set(total)) == 1
+    assert list(done) == sorted(set(done))
+    assert (done[0], done[-1] < total[0]) == (0, True)

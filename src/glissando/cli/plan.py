@@ -142,7 +142,14 @@ def _plan_slide(options: argparse.Namespace) -> int:
         path_objective = path_objective_of(problem, zones, objective)
         path_space = path_space_of(stage, upper, start, options.horizon)
         weight = options.speed_weight
-        plan = plan_slide(path_objective, path_space, zones, speed_weight=weight, seed=options.seed)
+        plan = plan_slide(
+            path_objective,
+            path_space,
+            zones,
+            speed_weight=weight,
+            seed=options.seed,
+            progress=work.update,
+        )
         aims = baseline_paths(stage, upper, start, path_space.control_times, options.seed)
         work.begin("comparing the plan with other paths")
         plan = best_evaluated(plan, path_objective, zones, aims, weight, work.update)

@@ -34,6 +34,7 @@ def descend(
     polytope: Polytope,
     iterations: int,
     tolerance: float = 1e-4,
+    progress: Callable[[int], None] | None = None,
 ) -> tuple[Array, float]:
     """Descend from a point strictly inside a polytope to one of lower value.
 
@@ -43,6 +44,7 @@ def descend(
         polytope: The limits.
         iterations: Iterations at most.
         tolerance: Share of the value that three steps together must gain to go on.
+        progress: Called before each iteration with the number of those done.
 
     Returns:
         The best point (n,), strictly inside, and its value.
@@ -52,7 +54,9 @@ def descend(
     scale = max(abs(value), 1e-300)
     curvature = np.zeros((x.size, x.size))
     weight, best, values = _BARRIER * scale / len(sparse[1]), (x, value), [value]
-    for _ in range(iterations):
+    for done in range(iterations):
+        if progress:
+            progress(done)
         barrier_gradient, barrier_curvature = _barrier_derivatives(x, sparse)
         total = gradient + weight * barrier_gradient
         try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -86,6 +86,7 @@ def plan_slide(
     candidates: int = 5,
     iterations: int | None = None,
     warm_start: Array | None = None,
+    progress: Callable[[float, float], None] | None = None,
 ) -> Plan:
     """Find the path of least value in a path space; it is never worse than any start.
 
@@ -98,6 +99,8 @@ def plan_slide(
         candidates: How many of the best starts that differ are improved.
         iterations: Iterations at most for the best of these; by default more for a longer path.
         warm_start: Control points (T + 2,) of a further start, m.
+        progress: Called with the number of iterations done, those that a search spares included,
+            and of all.
 
     Raises:
         GlissandoError: The path space has not the steps of the planning problem, or the weight is
@@ -113,7 +116,7 @@ def plan_slide(
     paths = path_space.follow(np.stack(list(targets.values())))
     if iterations is None:
         iterations = max(_ITERATIONS, path_space.steps // _STEPS)
-    search = _Search(objective, path_space, speed_weight)
+    search = _Search(objective, path_space, speed_weight, progress)
     with one_thread():
         values = [search.value(path) for path in paths]
         _warn_of_flat(values)
@@ -197,6 +200,7 @@ class _Search:
     objective: PathObjective
     path_space: PathSpace
     speed_weight: float
+    progress: Callable[[float, float], None] | None = None
 
     def value(self, control: Array) -> float:
         """Value of a path with control points (T + 2,)."""
@@ -214,14 +218,22 @@ class _Search:
             iterations: Iterations at most for the best of these.
         """
         apart = _ALIKE * (self.path_space.upper - self.path_space.lower)
-        improved = [
-            self.improve(path, max(1, iterations // _BRIEFLY))
-            for path in _distinct([path for path, _ in ranked], apart, candidates)
-        ]
-        best = min([ranked[0], *improved], key=itemgetter(1))
-        return min(best, self.improve(best[0], iterations), key=itemgetter(1))
+        briefly = max(1, iterations // _BRIEFLY)
+        paths = _distinct([path for path, _ in ranked], apart, candidates)
+        best, before, total = ranked[0], 0, len(paths) * briefly + iterations
 
-    def improve(self, control: Array, iterations: int) -> tuple[Array, float]:
+        def shown(done: int) -> None:
+            if self.progress:
+                self.progress(before + done, total)
+
+        for path in paths:
+            best = min(best, self.improve(path, briefly, shown), key=itemgetter(1))
+            before += briefly
+        return min(best, self.improve(best[0], iterations, shown), key=itemgetter(1))
+
+    def improve(
+        self, control: Array, iterations: int, progress: Callable[[int], None]
+    ) -> tuple[Array, float]:
         """A better path from one within the limits, and its value."""
         space, middle = self.path_space, self._middle_path[2:-1]
 
@@ -235,7 +247,7 @@ class _Search:
         inside = control[2:-1] + _DRAWN * (middle - control[2:-1])
         if not is_inside(inside, space.polytope):
             return control, np.inf
-        free, best = descend(value, inside, space.polytope, iterations)
+        free, best = descend(value, inside, space.polytope, iterations, progress=progress)
         return space.control(free), best
 
     def _mean_square_speed(self, control: Array) -> tuple[float, Array]:
