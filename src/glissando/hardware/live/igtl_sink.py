@@ -17,7 +17,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Iterator
 from functools import lru_cache
 from typing import Self
@@ -28,9 +27,8 @@ from scipy.spatial import ConvexHull
 from glissando.estimation.confidence_tube import confidence_tube, tube_faces
 from glissando.geometry.se3 import Array
 from glissando.hardware.live.update import Update
-from glissando.hardware.openigtlink import Endpoint, Message, encode
+from glissando.hardware.openigtlink import EndpointUser, Message, encode
 from glissando.hardware.openigtlink import contents as c
-from glissando.hardware.openigtlink.address import WireFrame
 from glissando.hardware.openigtlink.crc import crc64
 from glissando.hardware.openigtlink.polydata import Attribute, PolyData
 from glissando.io.csv_stream import Rows
@@ -42,7 +40,7 @@ _LONG = 1 << 16  # bytes of a message
 _PATIENCE, _POINTS = 1.0, 0.1  # s between statuses, and between points
 
 
-class IgtlSink:
+class IgtlSink(EndpointUser):
     """Sends updates to every peer of an endpoint.
 
     Args:
@@ -57,31 +55,16 @@ class IgtlSink:
     """
 
     def __init__(self, address: str) -> None:
+        super().__init__(address, hears=False)
         self.name = address.partition("?")[0]
-        self._endpoint = Endpoint(address, hears=False)
-        self._frame = WireFrame.of(self._endpoint.address)
         self._send = self._endpoint.address.send
         self._stated = self._pointed = -np.inf
         self._measured: dict[str, Array] = {}
-        self._unsent = Counter[str]()
 
     def __enter__(self) -> Self:
-        self._endpoint.__enter__()
+        super().__enter__()
         crc64(bytes(_LONG))  # its tables are made now, and not during the first update
         return self
-
-    def __exit__(self, *raised: object) -> None:
-        self._endpoint.close()
-
-    @property
-    def port(self) -> int:
-        """The port that is called or listened at."""
-        return self._endpoint.address.port
-
-    @property
-    def counts(self) -> Counter[str]:
-        """What happened to the peers, and what was not sent."""
-        return self._unsent + self._endpoint.counts
 
     @property
     def problem(self) -> str:
@@ -163,7 +146,7 @@ class IgtlSink:
             if _is_whole(readings):
                 out.append(encode(readings_message(readings, *at)))
             else:
-                self._unsent[f"{readings.label} not sent (mount, channel or settings)"] += 1
+                self._own[f"{readings.label} not sent (mount, channel or settings)"] += 1
         return out
 
 

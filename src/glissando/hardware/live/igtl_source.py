@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Self
 
 import numpy as np
 
@@ -19,9 +17,8 @@ from glissando.hardware.live.placement import (
     reading,
     require_on_robot,
 )
-from glissando.hardware.openigtlink import Endpoint, Message, seconds_since
+from glissando.hardware.openigtlink import EndpointUser, Message, seconds_since
 from glissando.hardware.openigtlink import contents as c
-from glissando.hardware.openigtlink.address import WireFrame
 from glissando.hardware.openigtlink.sender_clock import SenderClock
 from glissando.hardware.openigtlink.tracker import is_rigid, normalized, poses_in
 from glissando.io.plain_file import file_stem
@@ -35,7 +32,7 @@ _FAR = 20.0  # m from the origin: no tracker reaches there
 _MOST = 64  # streams: a journal keeps a file open for each
 
 
-class IgtlSource:
+class IgtlSource(EndpointUser):
     """Readings from TRANSFORM, POSITION and TDATA, travel from SENSOR, rows from NDARRAY.
 
     Args:
@@ -59,11 +56,10 @@ class IgtlSource:
 
     def __init__(self, address: str, robot: Robot, placements: Sequence[Placement] = ()) -> None:
         require_on_robot(placements, robot)
+        super().__init__(address)
         self.name, self.status, self._robot = address.partition("?")[0], "", robot
-        self._endpoint = Endpoint(address)
-        self._frame = WireFrame.of(self._endpoint.address)
         self._placements = {place.name: place for place in placements}
-        self._own, self._slide, self._heard = Counter[str](), SlideTrack(), -np.inf
+        self._slide, self._heard = SlideTrack(), -np.inf
         self._last: dict[str, bytes] = {}
         self._clock = SenderClock(self._endpoint.address.clock)
         self._newest, self._origin = -1, 0
@@ -71,23 +67,6 @@ class IgtlSource:
         self._waiting: list[tuple[float, Message]] = []
         self._lacks_travel, self._sound, self._invalid = False, False, ""
         self._strangers: dict[str, None] = {}
-
-    def __enter__(self) -> Self:
-        self._endpoint.__enter__()
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self._endpoint.close()
-
-    @property
-    def port(self) -> int:
-        """The port that is called or listened at."""
-        return self._endpoint.address.port
-
-    @property
-    def counts(self) -> Counter[str]:
-        """What was left out, and what happened to the connection."""
-        return self._own + self._endpoint.counts
 
     @property
     def problem(self) -> str:

@@ -1,6 +1,6 @@
 """OpenIGTLink: messages as bytes and as values, and peers that send and receive them."""
 
-from glissando.hardware.openigtlink.endpoint import Endpoint
+from glissando.hardware.openigtlink.endpoint import Endpoint, EndpointUser
 from glissando.hardware.openigtlink.message import (
     Message,
     decode,
@@ -9,4 +9,4 @@ from glissando.hardware.openigtlink.message import (
     stamp_of,
 )
 
-__all__ = ["Endpoint", "Message", "decode", "encode", "seconds_since", "stamp_of"]
+__all__ = ["Endpoint", "EndpointUser", "Message", "decode", "encode", "seconds_since", "stamp_of"]

@@ -17,7 +17,7 @@ from contextlib import suppress
 from typing import Self
 
 from glissando.errors import DeviceError
-from glissando.hardware.openigtlink.address import Address
+from glissando.hardware.openigtlink.address import Address, WireFrame
 from glissando.hardware.openigtlink.fields import MessageError
 from glissando.hardware.openigtlink.link import ARRIVAL, Packet, PacketLink
 from glissando.hardware.openigtlink.message import Message, decode
@@ -153,6 +153,37 @@ class Endpoint:
     def _require_alive(self) -> None:
         if self._open().ended:
             raise DeviceError(f"The process that serves {self.text} has ended; start again.")
+
+
+class EndpointUser:
+    """What speaks with peers through an endpoint of its own; a context manager.
+
+    Args:
+        address: As `Endpoint` takes it.
+        hears: Whether messages of peers are received, and not just thrown away.
+    """
+
+    def __init__(self, address: str, *, hears: bool = True) -> None:
+        self._endpoint = Endpoint(address, hears=hears)
+        self._frame = WireFrame.of(self._endpoint.address)
+        self._own = Counter[str]()
+
+    def __enter__(self) -> Self:
+        self._endpoint.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._endpoint.close()
+
+    @property
+    def port(self) -> int:
+        """The port that is called or listened at."""
+        return self._endpoint.address.port
+
+    @property
+    def counts(self) -> Counter[str]:
+        """What was left out, and what happened to the peers."""
+        return self._own + self._endpoint.counts
 
 
 def _met(door: socket.socket, token: bytes) -> socket.socket:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Iterator, Sequence
-from typing import Self
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from glissando.hardware.drivers.aurora_reply import Frame, PortReading
 from glissando.hardware.drivers.aurora_setup import Tool
 from glissando.hardware.openigtlink import contents as c
 from glissando.hardware.openigtlink.address import Address, WireFrame
-from glissando.hardware.openigtlink.endpoint import Endpoint
+from glissando.hardware.openigtlink.endpoint import EndpointUser
 from glissando.hardware.openigtlink.message import Message
 from glissando.hardware.openigtlink.sender_clock import SenderClock
 
@@ -59,7 +58,7 @@ def normalized(pose: Array) -> Array:
     return se3.pose(left @ right, pose[:3, 3])
 
 
-class IgtlTracker:
+class IgtlTracker(EndpointUser):
     """Reads TRANSFORM, POSITION and TDATA of named devices as frames; a context manager.
 
     Args:
@@ -68,32 +67,19 @@ class IgtlTracker:
 
     Attributes:
         tools: The devices as tools, each its name for a serial number.
+        counts: Poses left out ('unplaced', 'invalid', 'repeated'), and what happened to the peer.
 
     Raises:
         DeviceError: The address is wrong.
     """
 
     def __init__(self, address: str, names: Sequence[str]) -> None:
-        self._endpoint = Endpoint(address)
-        self._frame = WireFrame.of(self._endpoint.address)
+        super().__init__(address)
         self._clock = SenderClock(Address.of_rig(address).clock)
         self.tools = [Tool(k, name, "openigtlink", str(k)) for k, name in enumerate(names)]
         self._handles = {tool.serial: tool.handle for tool in self.tools}
-        self._own: Counter[str] = Counter()
         self._number, self._waiting = 0, deque[tuple[float, Message]]()
         self._last: dict[int, bytes] = {}
-
-    def __enter__(self) -> Self:
-        self._endpoint.__enter__()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._endpoint.close()
-
-    @property
-    def counts(self) -> Counter[str]:
-        """Poses left out ('unplaced', 'invalid', 'repeated'), and what happened to the peer."""
-        return self._own + self._endpoint.counts
 
     def read(self, timeout: float) -> Frame | None:
         """The devices of the next message that has new poses; None when none came in time.
