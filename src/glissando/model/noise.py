@@ -66,11 +66,9 @@ class Loss(Protocol):
 
     def weight(self, norm: Array) -> Array:
         """Weight (M,) of the squared residual, 1 for a trusted reading, towards 0 for outliers."""
-        ...
 
     def cost(self, norm: Array) -> Array:
         """Loss (M,) of a whitened residual norm, ½ norm² when it is small."""
-        ...
 
 
 def _require_positive(threshold: float) -> None:

@@ -28,11 +28,9 @@ class Objective(Protocol):
     @property
     def rows(self) -> int:
         """Number p of pose components that count: 3 for position, 6 with rotation."""
-        ...
 
     def __call__(self, cov: Array, weight: Array) -> tuple[float, Array]:
         """Value and gradient (Z, p, p) at covariances (Z, p, p) with weights (Z,)."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,6 @@ class AccelerationPrior(Protocol):
         self, grid: Grid, state: State, at: Interpolation, arclength: Array, time: Array
     ) -> Interpolation | None:
         """What `accelerated` gives, from the state `at` the points; None if nodes know none."""
-        ...
 
 
 def accelerated(

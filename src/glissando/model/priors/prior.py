@@ -40,21 +40,17 @@ class Prior(Protocol):
     @property
     def joints(self) -> Array:
         """Where segments meet (S−1,), m; these must be nodes of the grid."""
-        ...
 
     @classmethod
     def from_table(cls, prior: Table, robot: Table) -> Self:
         """The prior of a robot file, from its [prior] table and the file with [base] and rest."""
-        ...
 
     def to_table(self) -> dict[str, Any]:
         """What a robot file says of this prior, as `from_table` reads it."""
-        ...
 
     @property
     def fixes_base(self) -> bool:
         """Whether the prior alone says where the robot stands."""
-        ...
 
     def least_step(self, arclength: Array) -> float:
         """The least time between time nodes, s, at which information keeps its digits.
@@ -62,19 +58,15 @@ class Prior(Protocol):
         Args:
             arclength: Arclength nodes (N,), m.
         """
-        ...
 
     def with_soft_shear(self) -> Self:
         """The prior with soft shear and extension, a start for this one; itself if not stiff."""
-        ...
 
     def rest_state(self, grid: Grid) -> State:
         """The robot at rest on the grid, from which an estimate starts."""
-        ...
 
     def retract_strains(self, grid: Grid, state: State, step: Array) -> State:
         """The state moved by `step` (K, N, dof) so that poses still follow from the strains."""
-        ...
 
     def factors(
         self, grid: Grid, state: State, noise_state: State, times: slice
@@ -83,17 +75,14 @@ class Prior(Protocol):
 
         Their weights come from the rates of `noise_state`, a state on the same grid.
         """
-        ...
 
     def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
         """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
-        ...
 
     def interpolate(
         self, grid: Grid, state: State, noise_state: State, points: Points
     ) -> Interpolation:
         """State at points between the nodes, conditional on the nodes."""
-        ...
 
 
 def load_kernels(prior: Prior, *others: str) -> None:

@@ -42,19 +42,16 @@ class StationaryPrior(Protocol):
     @property
     def rest(self) -> RestShape:
         """The shape that is expected where nothing acts."""
-        ...
 
     def arclength_bridge(
         self, grid: Grid, noise_state: State, k: Index, s: Cells
     ) -> tuple[Array, Array]:
         """Gain and covariance (M, 12, 12) inside the intervals `s` at time nodes k."""
-        ...
 
     def between(
         self, grid: Grid, start: State, end: State, k: Index, s: Cells, gain: Array
     ) -> tuple[State, Array]:
         """State (M,) inside the intervals `s` at time nodes k, Jacobian (M, 24, 2, dof) by both."""
-        ...
 
     def sections(
         self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
@@ -63,7 +60,6 @@ class StationaryPrior(Protocol):
 
         They add up; each goes with how long, in seconds, what varies so is remembered: ℓ first.
         """
-        ...
 
     @property
     def fixes_base(self) -> bool:

@@ -34,15 +34,12 @@ class Obstacle(Protocol):
 
     def distance(self, point: Array) -> Distances:
         """Signed distances of points (M, 3) from the surface, and slopes."""
-        ...
 
     def curvature(self, point: Array) -> Array:
         """Curvatures (M, 3, 3) of the distances at points (M, 3)."""
-        ...
 
     def surface(self) -> Surface:
         """Its surface as triangles, by which it is shown."""
-        ...
 
 
 @dataclass(frozen=True)
