@@ -1,8 +1,8 @@
-"""Active sensing: where a sliding sensor should go so that a zone of the body is known best.
+"""Active sensing: paths of a sliding sensor that minimise the uncertainty of zones of the body.
 
 The information of a reading depends on where and when it is taken, not on its value. A path can
-therefore be evaluated before it is taken, its gradient costs one backward pass, and descent finds
-the best path within the limits of a stage.
+therefore be evaluated in advance, its gradient costs one backward pass, and descent finds the best
+path within the limits of a stage.
 
 >>> from glissando import load_robot
 >>> from glissando.simulation import SlideLimits

@@ -1,8 +1,8 @@
-"""The belief that planning starts from: the newest node of an estimate, small enough to send.
+"""The belief that planning starts from: mean and covariance of an estimate's newest time node.
 
-Of a running smoother, planning needs only the newest node: its shape, and the covariance of the
-shape and the sensor parameters. A belief can be propagated along a path that is already settled, so
-that a plan may begin when planning is done.
+Of a running smoother, planning needs only the newest time node: its state, and the covariance of
+the state and the sensor parameters, which are quickly sent to another process. A belief can be
+propagated along a path that is already fixed, so that a plan may begin at a later time.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from glissando.planning.prediction import look_ahead, prior_information
 from glissando.planning.sliding_sensor import SlidingSensor
 
 ExpectedMotion = Callable[[Array], State]
-"""The motion that is expected: a State (K, N) at times (K,) and the prior's arclength nodes."""
+"""Expected motion: maps times (K,), s, to the State (K, N) at the prior's arclength nodes."""
 
 
 @dataclass(frozen=True)
 class Belief:
-    """The belief about the newest node of an estimate.
+    """Mean and covariance of the newest time node of an estimate.
 
     Attributes:
         prior: Prior of the estimate.
         arclength: Arclength nodes (N,), m.
         time: Time of the newest node, s.
-        node_step: Time between the nodes of the estimate, s.
-        sensor_parameters: Parameters of the sensors that are estimated.
-        shape: State (N,) of the node; None where only the prior is known.
-        cov: Covariance (D, D) of the state and the parameters; None as `shape` is.
-        previous_time: Time of the node before the newest, s, if there is one.
-        lone: What the newest node stands for where there is none before, s.
+        node_step: Time between the time nodes of the estimate, s.
+        sensor_parameters: Sensor parameters of the estimate.
+        shape: State (N,) of the newest node; None if only the prior is known.
+        cov: Covariance (D, D) of the state and the parameters; None if `shape` is None.
+        previous_time: Time of the node before the newest, s; None if there is none.
+        lone: Time span that the newest node represents if no node precedes it, s.
     """
 
     prior: Prior
@@ -58,7 +58,7 @@ class Belief:
     lone: float = 1.0
 
     def hold_shape(self, grid: Grid) -> State:
-        """The expected state at all nodes of a grid if the robot holds its shape."""
+        """Expected states at all nodes of a grid if the robot holds its shape."""
         rest = self.prior.rest_state(grid)
         if self.shape is None:
             return rest
@@ -68,9 +68,9 @@ class Belief:
         )
 
     def information(self) -> Array | None:
-        """Information (D, D) that the estimate adds to the newest node's prior, if any.
+        """Information (D, D) of the newest node beyond its prior; None if only the prior is known.
 
-        The prior of the node by itself is left out, as it depends on the nodes before and after.
+        The prior of the node is subtracted, since a grid that continues from the node adds it.
         """
         if self.cov is None or self.shape is None:
             return None
@@ -85,13 +85,13 @@ class Belief:
         self, time: float, sensor: SlidingSensor, path: Callable[[Array], Array],
         motion: ExpectedMotion | None = None,
     ) -> Belief:  # fmt: skip
-        """Predict the belief at a later time, after the readings on a path until then.
+        """Predict the belief at a later time, given the readings taken on a path until then.
 
         Args:
-            time: The later time, s.
+            time: Time of the predicted belief, s.
             sensor: The sliding sensor.
-            path: Arclengths (M,) of the first coil at times (M,), m.
-            motion: How the robot moves; by default it holds its shape.
+            path: Maps times (M,), s, to arclengths (M,) of the first coil, m.
+            motion: Expected motion of the robot; by default it holds its shape.
         """
         grid = Grid(self.arclength, [self.time, time], self.previous_time)
         mean = self.hold_shape(grid) if motion is None else motion(grid.time)
@@ -107,9 +107,9 @@ BeliefSource = Robot | Posterior | FixedLagSmoother | Belief
 
 
 def belief_of(source: BeliefSource, start: float = 0.0) -> Belief:
-    """The newest belief of an estimate, or the prior of a robot at time `start`, s.
+    """Belief about the newest node of an estimate, or prior of a robot at time `start`, s.
 
-    Of a running smoother it is taken in less than a millisecond.
+    For a running smoother this takes less than a millisecond.
     """
     if isinstance(source, Belief):
         return source

@@ -1,4 +1,4 @@
-"""Sensors that could be bought for a robot: fixed ones, a fibre along the body, a slide."""
+"""Candidate sensors for a robot: fixed sensors, a fibre along the body, a sliding coil."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from glissando.model.sensors.sensors import sensor_class
 from glissando.planning.prediction import PredictedInformation
 from glissando.solver.measurement_factors import states_at
 
-_GRATINGS = 16  # of a fibre along the body
+_GRATINGS = 16  # number of gratings of a fibre along the body
 _CORES = {"core_radius": np.full(3, 35e-6), "core_angle": 2.0 * np.pi * np.arange(3) / 3.0}
 FIBRE, SLIDE = "fbg", "slide"
-_WIDEST = 0.3  # rad, likely standard deviation of a pose's angles
-_LARGEST = {  # likely standard deviation of a reading's first row, and its unit
+_WIDEST = 0.3  # rad, largest plausible standard deviation of a pose's angles
+_LARGEST = {  # largest plausible standard deviation of a reading's first row, and its unit
     **dict.fromkeys(("coil", "pose", "position"), (0.05, "m")),
     "orientation": (1.0, "rad"),
     "gyro": (5.0, "rad/s"),
@@ -34,13 +34,13 @@ class Candidate:
     """A sensor that could be bought.
 
     Attributes:
-        name: What a table calls it.
+        name: Name shown in tables.
         kind: Kind of its readings.
-        cost: What it costs, in any unit.
+        cost: Price, in any unit.
         cov: Covariance of a reading, as `Readings` take it.
-        rate: Readings a second, Hz.
-        places: Where (M, P) it reads at times (M,), m; a fibre reads at several places at once.
-        settings: What the kind asks for besides.
+        rate: Sampling rate, Hz.
+        places: Maps times (M,), s, to arclengths (M, P) of its readings, m; P > 1 for a fibre.
+        settings: Further fields of readings of this kind, such as a fibre's cores.
     """
 
     name: str
@@ -52,14 +52,17 @@ class Candidate:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def readings(self, ahead: PredictedInformation, time: Array) -> Readings:
-        """What it reads at times (M,) of the motion that is expected."""
+        """Simulated readings at times (M,) of the expected motion, M · P of them.
+
+        Their values are noise-free, or zero for sensors that are linear in the state.
+        """
         places = self.places(time)
         place, when = places.ravel(), np.repeat(time, places.shape[1])
         sensor = sensor_class(self.kind)
         try:
             pose = states_at(ahead.prior, ahead.grid, ahead.mean, place, when).pose
             values = sensor.values_at(pose, **self.settings)
-        except NotImplementedError:  # linear in strain or velocity: any value has these slopes
+        except NotImplementedError:  # linear in strain or velocity: values do not alter Jacobians
             shape = sensor.value_shape or (np.size(self.settings["core_radius"]),)
             values = np.zeros((place.size, *shape))
         given = {"values": values, "cov": self.cov, "name": self.name, **self.settings}
@@ -76,21 +79,21 @@ def candidates_of(
     rate: float = 40.0,
     slide: tuple[float, float, float] | None = None,
 ) -> list[Candidate]:
-    """The candidates of one kind: at evenly spaced places, or one fibre, or one slide.
+    """Candidates of one kind: fixed sensors at evenly spaced places, one fibre, or one slide.
 
     Args:
-        robot: The robot, whose file states noise.
-        kind: Kind of the readings; "fbg" is a fibre along the body, "slide" a coil that slides.
-        cost: What one costs.
+        robot: The robot, whose file states the noise of its sensors.
+        kind: Kind of the readings; "fbg" is a fibre along the body, "slide" a sliding coil.
+        cost: Price of one sensor.
         std: Standard deviation of the rows, one for all of them or, for a pose or coil, one of the
-            position and one of the rotation; that of the robot file unless given.
-        count: Number of places of fixed ones.
-        rate: Readings a second, Hz.
-        slide: Both ends of the slide's reach, m, and its speed, m/s.
+            position and one of the rotation; by default that of the robot file.
+        count: Number of places for fixed sensors.
+        rate: Sampling rate, Hz.
+        slide: Lowest and highest arclength of the slide, m, and its speed, m/s.
 
     Raises:
-        GlissandoError: The cost is not positive, the noise is not known or not likely, or no slide
-            is given.
+        GlissandoError: The cost is not positive, the noise is unknown or implausible, the kind has
+            no arclength to choose, or a slide is wanted and `slide` is None.
     """
     if not (np.isfinite(cost) and cost > 0.0):
         raise GlissandoError(f"A {kind} that costs {cost:g} cannot be; give a cost above 0.")
@@ -119,7 +122,7 @@ def candidates_of(
 
 
 def _std(given: Array, kind: str, rows: int) -> Array:
-    """Standard deviations of the rows. Raises GlissandoError for some that are not likely."""
+    """Standard deviations (rows,) of a reading; raises GlissandoError if they are implausible."""
     std, (most, unit) = np.atleast_1d(given), _LARGEST.get(kind, (np.inf, ""))
     if std.size == 2 and rows in (5, 6):
         std = np.repeat(std, 3)[:rows]
@@ -149,7 +152,7 @@ def _fixed(places: Any) -> Callable[[Array], Array]:
 
 
 def _swing(low: float, high: float, speed: float) -> Callable[[Array], Array]:
-    """To and fro at one speed, from the upper end."""
+    """Path of a slide that oscillates at constant speed, from the upper end."""
 
     def places(time: Array) -> Array:
         turns = speed * time / (high - low)

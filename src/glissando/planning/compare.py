@@ -1,4 +1,4 @@
-"""The evaluation of a plan beside baseline paths, by what the estimator will say after each."""
+"""Evaluation of paths by the covariance that the estimator will report, and baseline paths."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from glissando.planning.planning_problem import PlanningProblem
 from glissando.planning.prediction import PredictedInformation
 from glissando.planning.zones import Zone, zone_points
 
-_STOPS = 6  # stops of a random path
+_STOPS = 6  # stops of a random path, at least
 
 
 @dataclass(frozen=True)
 class PathEvaluation:
-    """The uncertainty of the zones after a path, as the estimator will state it.
+    """Uncertainty of the zones after a path, as the estimator will report it.
 
     Attributes:
-        arclength: The path (T,), m.
+        arclength: Arclengths (T,) of the path, m.
         value: Value of the objective.
         std: Root of the mean position variance, m.
         worst: Root of the largest position variance of any point, m.
@@ -39,12 +39,12 @@ class PathEvaluation:
 def baseline_paths(
     limits: SlideLimits, upper: float, start: float, time: Array, seed: int = 0
 ) -> dict[str, Array]:
-    """Paths that ignore the zones: oscillating, fixed at the start, and random.
+    """Baseline paths that ignore the zones: oscillating, fixed at the start, and random.
 
     Args:
         limits: Limits of the stage.
-        upper: Arclength of the sensor when it is drawn out, m.
-        start: Arclength of the sensor in the beginning, m.
+        upper: Arclength of the sensor at zero displacement of the stage, m.
+        start: Initial arclength of the sensor, m.
         time: Times (T,) from the start, s.
         seed: Seed of the random stops.
 
@@ -74,14 +74,14 @@ def evaluate_path(
     arclength: Array,
     prediction: PredictedInformation | None = None,
 ) -> PathEvaluation:
-    """Evaluate a path by the estimator's own model at full size.
+    """Evaluate a path by the estimator's full model, without model reduction.
 
     Args:
         problem: The planning problem.
-        zones: The zones that count.
-        objective: The objective over the zones.
+        zones: Zones of interest.
+        objective: Objective over the zones.
         arclength: Arclengths (T,) of the first coil at the problem's `times`, m.
-        prediction: The information after the path; by default it is predicted.
+        prediction: Information after the path; by default it is computed from the path.
     """
     prediction = prediction or problem.predict(arclength)
     length, span = float(prediction.grid.arclength[-1]), (problem.start, problem.end)
@@ -101,18 +101,21 @@ def best_evaluated(
     speed_weight: float = 0.0,
     progress: Callable[[float, float], None] | None = None,
 ) -> Plan:
-    """The best, by the estimator's own model, of a plan and of paths that aim at targets.
+    """Best of a plan and of paths that follow targets, by the estimator's full model.
 
-    The few modes by which a plan was found are off by some per cent, enough to mistake two paths
-    that are nearly alike.
+    The reduced model by which a plan is found errs by some per cent, which can reverse the order of
+    two similar paths.
 
     Args:
         plan: The plan.
-        path_objective: What it was planned by.
-        zones: The zones that count.
+        path_objective: Objective by which it was planned.
+        zones: Zones of interest.
         targets: Arclengths (T + 2,) at the path space's `control_times` by name, m.
         speed_weight: Weight of the mean square speed, as `plan_slide` takes it.
-        progress: Called with the number of paths that are evaluated, and of all.
+        progress: Called with the number of paths evaluated so far, and of all.
+
+    Returns:
+        The given plan, or a copy with the path that evaluates better.
     """
     space, problem = plan.path_space, path_objective.problem
     values = []
@@ -134,9 +137,9 @@ def best_evaluated(
 def evaluate_everywhere(
     problem: PlanningProblem, zones: Sequence[Zone], objective: Objective
 ) -> PathEvaluation:
-    """Evaluate coils at every place at once, a bound that no path can beat.
+    """Evaluate coils at every place at once, a lower bound on the uncertainty after any path.
 
-    The coils are a quarter of a node apart, or at both ends and the middle of a shorter reach, and
+    The coils are spaced a quarter of the smallest node distance (at least three over the reach) and
     read at full rate.
     """
     low, high = problem.reach

@@ -1,4 +1,4 @@
-"""What a sliding sensor is worth before it is built: stroke, speed, rate and number of coils."""
+"""Design study of a sliding sensor: uncertainty over stroke, speed, rate and number of coils."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from glissando.planning.planning_problem import predict_information
 from glissando.planning.sliding_sensor import sliding_sensor
 from glissando.planning.zones import Zone
 
-_ALIKE = 1.02  # ratio of two standard deviations that count as the same
+_ALIKE = 1.02  # ratio of two standard deviations that count as equal
 NUMBERS = {"stroke": ("mm", 1e3), "speed": ("mm/s", 1e3), "rate": ("Hz", 1.0), "coils": ("", 1.0)}
-"""Numbers of a design with the unit they are shown in, and how many of it the SI unit is."""
+"""Parameters of a design with their display unit, and the factor from SI units to it."""
 
-_APART = 1e-3  # m between coils, below which they are at one place
+_APART = 1e-3  # m, least distance of two coils that count as distinct
 
 
 @dataclass(frozen=True)
 class Design:
-    """A slide with its sensor, and the uncertainty that its best path leaves.
+    """A slide with its sensor, and the uncertainty after its best path.
 
     Attributes:
         stroke: Stroke, m.
         speed: Largest speed, m/s.
-        rate: Readings a second of each coil, Hz.
+        rate: Sampling rate of each coil, Hz.
         coils: Number of coils.
         value: Value of the objective.
         std: Root of the mean position variance in each zone (Z,), m.
@@ -62,26 +62,26 @@ def sweep(
     horizon: float = 10.0,
     stream: str = "coil",
 ) -> Iterator[Design]:
-    """Evaluate every combination of numbers, each on its own best path.
+    """Evaluate every combination of the parameters, each on its own best path.
 
-    Several coils follow each other a stroke apart, or as near as the body requires; where they
-    would be at one place, as behind a stroke of the whole body, that number of coils is left out.
+    Several coils are spaced by one stroke, or evenly over the rest of the body if it is shorter.
+    Combinations whose coils would coincide, as with a stroke of the whole body, are skipped.
 
     Args:
         robot: The robot.
-        zones: The zones that count.
+        zones: Zones of interest.
         strokes: Strokes, m.
         speeds: Largest speeds, m/s.
-        rates: Readings a second of each coil, Hz.
+        rates: Sampling rates of each coil, Hz.
         coils: Numbers of coils.
         acceleration: Largest acceleration, m/s².
-        upper: Arclength of the first coil when it is drawn out, where a path starts, m.
-        objective: The objective over the zones.
+        upper: Largest arclength of the first coil, where each path starts, m.
+        objective: Objective over the zones.
         horizon: Duration of a path, s.
         stream: Name of the sensors' stream, by which sensor parameters refer to them.
 
     Raises:
-        GlissandoError: A stroke is longer than the body, or no design fits it.
+        GlissandoError: A stroke is longer than the body, or no combination fits on it.
     """
     for stroke in strokes:
         if not 0.0 < stroke <= upper + 1e-9:
@@ -108,16 +108,16 @@ def sweep(
 
 
 def _spacing(stroke: float, count: int, upper: float) -> float:
-    """Metres between coils; a single one has the whole body."""
+    """Distance between neighbouring coils, m; `upper` for a single coil."""
     return min(stroke, (upper - stroke) / (count - 1)) if count > 1 else upper
 
 
 def pareto_front(designs: Sequence[Design]) -> NDArray[np.bool_]:
-    """Which designs (D,) are on the Pareto front of cost and confidence.
+    """Mask (D,) of the designs on the Pareto front of cost and uncertainty.
 
-    Not on it are designs that another one matches within 2 %, in the root mean square over all
-    zones, for less of a stroke, speed or number of coils and no more of the others, and designs
-    that another one surpasses at no higher cost.
+    The cost is stroke, speed and number of coils; the uncertainty is the root mean square of `std`
+    over the zones. A design is dominated by one that costs no more and is less uncertain, or that
+    costs less in one of the three, no more in the others, and is as certain within 2 %.
     """
     cost = np.array([[d.stroke, d.speed, d.coils] for d in designs], dtype=float)
     std = np.sqrt(np.mean(np.array([d.std for d in designs]) ** 2, axis=1))

@@ -1,9 +1,9 @@
-"""Model reduction: the few combinations of a node's numbers that the sensor can measure.
+"""Model reduction: the few linear combinations of a node's state that the sensor can measure.
 
-Of all numbers of a time node, those combinations are kept that move some reading by more than its
-noise: a reading at that node, or what is expected of a reading at a neighbouring node, so that the
-link between times is kept as well. They are treated as a Markov chain of their own, with their true
-covariance at neighbouring nodes. What they leave uncertain is added at readings and at queries.
+Of the state of a time node, those combinations (modes) are kept that change a reading by more than
+its noise: a reading at that node, or the prediction of a reading at a neighbouring node, so that
+the correlation in time is kept too. They are modelled as a Markov chain with their true covariance
+at neighbouring nodes. The uncertainty outside the modes is added at readings and at queries.
 """
 
 from __future__ import annotations
@@ -16,19 +16,20 @@ from glissando.geometry.se3 import Array
 from glissando.model.priors.transitions import symmetrize
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals
 
-_FLOOR = 1e-9  # of the largest variance: below it there is only rounding
-_LEFT = 0.1  # standard deviations of a reading that the modes may leave, in the root mean square
-_MOST = 32  # modes at most
+_FLOOR = 1e-9  # share of the largest variance, below which there is only rounding
+_LEFT = 0.1  # RMS part of a reading, in its standard deviations, that the modes may leave out
+_MOST = 32  # largest number of modes
 
 
 @dataclass(frozen=True)
 class Modes:
-    """The d numbers z = weightsᵀ x of each time node, before any reading to come.
+    """Modes z = weightsᵀ x, d at each time node, and their distribution before future readings.
 
     Attributes:
-        lift: E[x | z] of both ends of a time step, x, as functions of z there (K−1, 2 D, 2 d).
-        pair: Covariance of z at both ends of a time step (K−1, 2 d, 2 d).
-        system: Information of z at all times.
+        lift: Matrices (K−1, 2 D, 2 d) with E[x | z] = lift z, both stacked for the two ends of a
+            time step.
+        pair: Covariances (K−1, 2 d, 2 d) of z stacked for both ends of a time step.
+        system: Information matrix of z at all times.
     """
 
     lift: Array
@@ -37,26 +38,26 @@ class Modes:
 
 
 def find_modes(marginals: Marginals, rows: Array) -> Modes:
-    """The modes of a chain that readings in the middle of its time can measure.
+    """Find the modes of a chain that readings at its middle time node can measure.
 
     Args:
-        marginals: Covariances of the chain's nodes (K, D, D) and of neighbours.
-        rows: Whitened Jacobians (R, D) of readings everywhere at a time node.
+        marginals: Covariances (K, D, D) of the chain's nodes and (K−1, D, D) of neighbours.
+        rows: Whitened Jacobians (R, D) of readings at all places of one time node.
     """
     k = (len(marginals.cov) - 1) // 2
     near = [marginals.cross[k]] if k == 0 else [marginals.cross[k], marginals.cross[k - 1].T]
     gains = np.split(np.linalg.solve(marginals.cov[k], np.hstack(near)), len(near), axis=1)
-    predicted = [rows @ gain.T for gain in gains]  # such readings at the neighbouring nodes
+    predicted = [rows @ gain.T for gain in gains]  # predictions of readings at the neighbours
     return _reduced(marginals, _measurable(marginals.cov[k], np.vstack([rows, *predicted])))
 
 
 def _measurable(cov: Array, rows: Array) -> Array:
-    """Weights (D, d) of the combinations of a node of covariance (D, D) that rows (R, D) measure.
+    """Weights (D, d) of the modes of a node with covariance (D, D) that rows (R, D) measure.
 
-    The components that are left out move the readings by `_LEFT` standard deviations of their noise
-    at most, unless there are more than `_MOST` others.
+    The neglected components change the readings by at most `_LEFT` standard deviations of their
+    noise in the root mean square, unless `_MOST` limits the number of modes.
     """
-    few = np.asarray(np.linalg.qr(rows, mode="r"))  # the same squares in D rows at most
+    few = np.asarray(np.linalg.qr(rows, mode="r"))  # same normal equations, D rows at most
     variance, modes = np.linalg.eigh(few @ cov @ few.T)
     left = np.cumsum(np.maximum(variance, 0.0)) / len(rows)
     measurable = (left > _LEFT**2) & (variance > _FLOOR * variance[-1])
@@ -66,7 +67,7 @@ def _measurable(cov: Array, rows: Array) -> Array:
 
 
 def _reduced(marginals: Marginals, weights: Array) -> Modes:
-    """The chain of z = weightsᵀ x with the covariances that x has at neighbouring times."""
+    """Markov chain of z = weightsᵀ x whose covariances at neighbouring times are those of x."""
     used = np.flatnonzero(np.any(weights != 0.0, axis=1))
     w = weights[used]
     own = marginals.cov[:, :, used] @ w  # cov(x_k, z_k)

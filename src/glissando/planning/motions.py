@@ -1,4 +1,4 @@
-"""Motions of the robot itself: written down, drawn at random, and planned with the slide."""
+"""Motions of the robot: given as functions, drawn at random, and planned with the slide."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from glissando.planning.planning_problem import predict_information
 from glissando.planning.sliding_sensor import SlidingSensor
 from glissando.planning.zones import Zone
 
-_DT = 1e-3  # s, of the differences that give rates
-_PIECES = 8  # of constant strain between two nodes
-_SHORTEST = 0.25  # of the time ahead, the shortest motion that is drawn
+_DT = 1e-3  # s, step of the finite differences for rates
+_PIECES = 8  # pieces of constant strain between two nodes
+_SHORTEST = 0.25  # share of the horizon, the shortest motion that is drawn
 
 Shape = Callable[[Array, Array], tuple[Array, Array]]
-"""Poses (…, 4, 4) and strains (…, 6) at arclengths and times that broadcast together."""
+"""Maps arclengths and times, broadcast together, to poses (…, 4, 4) and strains (…, 6)."""
 
 
 def expected_motion(shape: Shape, prior: Prior, arclength: Array) -> ExpectedMotion:
-    """The motion whose shapes a function gives, with rates by differences.
+    """Expected motion from a function for shapes; rates are central differences.
 
     Args:
         shape: Poses and strains as a function of arclength and time.
@@ -59,7 +59,7 @@ def _state(shape: Shape, prior: Prior, arclength: Array, time: Array) -> State:
 def _blended(
     base: Array, strains: Array, begin: float, duration: float, arclength: Array, time: Array
 ) -> tuple[Array, Array]:
-    """Shapes between two strains (2, N, 6) at the nodes, on a base at rest at `base` (4, 4)."""
+    """Poses and strains of a smooth blend of two strains (2, N, 6), with fixed base (4, 4)."""
     share = np.clip((time - begin) / duration, 0.0, 1.0)[..., None]
     strain = strains[0] + share**2 * (3.0 - 2.0 * share) * (strains[1] - strains[0])
     pose = np.empty((*strain.shape[:-1], 4, 4))
@@ -75,17 +75,17 @@ def _blended(
 def draw_motions(
     source: BeliefSource, shapes: ArrayLike, count: int, horizon: float, seed: int = 0
 ) -> list[ExpectedMotion]:
-    """Draw motions from the present shape to its random mixtures with others.
+    """Draw motions from the current shape to random convex combinations with given shapes.
 
     Args:
-        source: The estimate or robot that is planned for.
-        shapes: Strains (S, N, 6) at the nodes of shapes that the robot can take.
+        source: Estimate or robot to plan for.
+        shapes: Strains (S, N, 6) at the arclength nodes, of shapes that the robot can take.
         count: Number of motions.
-        horizon: Duration of the time ahead, s, of which a motion takes a random part.
-        seed: Seed of the draws.
+        horizon: Planning horizon, s; a motion takes a random part of it.
+        seed: Seed of the random numbers.
 
     Raises:
-        GlissandoError: The shapes are not given at the nodes of the estimate.
+        GlissandoError: The shapes are not given at the arclength nodes of the estimate.
     """
     belief, rng = belief_of(source), np.random.default_rng(seed)
     present = belief.hold_shape(Grid(belief.arclength, [belief.time])).take(0)
@@ -112,9 +112,9 @@ class JointPlan:
     """A motion of the robot with the sensor's plan for it.
 
     Attributes:
-        motion: The motion; None if the robot holds its shape.
+        motion: Motion of the robot; None if it holds its shape.
         plan: The sensor's plan.
-        evaluation: The uncertainty that both leave.
+        evaluation: Uncertainty of the zones after both.
     """
 
     motion: ExpectedMotion | None
@@ -131,16 +131,16 @@ def plan_jointly(
     objective: Objective | None = None,
     node_step: float | None = None,
 ) -> list[JointPlan]:
-    """Plan the slide for each motion and for none, the best plan first.
+    """Plan the slide for each motion and for a robot that holds its shape, the best plan first.
 
     Args:
-        source: The estimate or robot to plan for.
+        source: Estimate or robot to plan for.
         motions: Motions that the robot can make.
-        path_space: The paths to choose from.
-        zones: The zones that count.
+        path_space: Admissible paths of the sensor.
+        zones: Zones of interest.
         sensor: The sliding sensor; by default the coil of the robot file.
-        objective: The objective over the zones; by default `Trace()`.
-        node_step: About the time between nodes, s, as `predict_information` takes it.
+        objective: Objective over the zones; by default `Trace()`.
+        node_step: Approximate time between nodes, s, as `predict_information` takes it.
     """
     objective, plans = objective or Trace(), []
     reach = path_space.lower, path_space.upper

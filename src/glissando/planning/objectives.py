@@ -1,9 +1,9 @@
-"""Objectives: how uncertain a zone is, as one number, with its gradient by the covariance.
+"""Objectives: the uncertainty of a zone as a scalar, with its gradient by the covariance.
 
 An objective takes covariances C (Z, p, p) of the pose at a zone's points, in the body frame, and
 weights (Z,) that add up to one. It returns its value J and the gradient M (Z, p, p) with
 dJ = Σ tr(M dC). The position comes first in a pose, so p = 3 suffices for an objective of the
-position alone. Every objective grows with the covariance. Source: equation (23).
+position alone. Every objective increases with the covariance. Source: equation (23).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 from glissando.model.field_checks import is_number
 
-_POLAR, _AROUND = 24, 32  # quadrature over the directions of a half sphere
+_POLAR, _AROUND = 24, 32  # quadrature points in height and azimuth over a half sphere
 
 
 class Objective(Protocol):
@@ -27,7 +27,7 @@ class Objective(Protocol):
 
     @property
     def rows(self) -> int:
-        """Number p of pose components that count: 3 for position, 6 with rotation."""
+        """Number p of pose components used: 3 for the position, 6 with the rotation."""
 
     def __call__(self, cov: Array, weight: Array) -> tuple[float, Array]:
         """Value and gradient (Z, p, p) at covariances (Z, p, p) with weights (Z,)."""
@@ -35,7 +35,7 @@ class Objective(Protocol):
 
 @dataclass(frozen=True)
 class Trace:
-    """Mean variance of position, m², and of rotation at a `lever`, m, if not 0.
+    """Mean total variance of position, m², plus `lever`² times that of rotation, if not 0.
 
     >>> Trace()(np.eye(3)[None], np.ones(1))[0]
     3.0
@@ -45,11 +45,11 @@ class Trace:
 
     @property
     def rows(self) -> int:
-        """3, or 6 with a lever."""
+        """Number of pose components used: 3, or 6 with a lever."""
         return 6 if self.lever else 3
 
     def __call__(self, cov: Array, weight: Array) -> tuple[float, Array]:
-        """Σ w tr(C), rotations weighted by the lever's square."""
+        """Σ w tr(C), with rotations weighted by the lever's square, and its gradient."""
         scale = np.repeat([1.0, self.lever**2], 3)[: self.rows]
         gradient = weight[:, None, None] * np.diag(scale)
         return float(np.einsum("z,zii,i->", weight, cov, scale)), gradient
@@ -72,11 +72,11 @@ class LogDet:
 
 @dataclass(frozen=True)
 class Worst:
-    """Largest variance in any direction anywhere in the zone, m², as a power mean.
+    """Largest variance in any direction at any point of the zone, m², as a power mean.
 
-    The mean (Σ w tr(Cᵖ))^(1/p), p the `power`, has a gradient where directions or points tie. It
-    exceeds the largest variance by a factor of at most 3^(1/p), and with Z points of equal weight
-    falls short of it by at most Z^(1/p).
+    The mean (Σ w tr(Cᵖ))^(1/p), p the `power`, is differentiable even where directions or points
+    tie. It exceeds the largest variance by a factor of at most 3^(1/p), and with Z points of equal
+    weight falls short of it by a factor of at most Z^(1/p).
     """
 
     power: int = 16
@@ -98,11 +98,11 @@ class Worst:
 
 @dataclass(frozen=True)
 class Chance:
-    """Mean probability that the position's error exceeds a `bound` b, m.
+    """Mean probability that the position error exceeds a `bound` b, m.
 
-    The error is ρ C^½ n with n uniform on the sphere and ρ² of χ² with 3 degrees of freedom, so
-    that P = E_n[P(χ²₃ > b² / nᵀCn)]. Quadrature over 24 × 32 directions errs by about 1e-5, and by
-    up to 1e-3 where one axis is a hundred times wider than both others.
+    The error is ρ C^½ n with n uniform on the sphere and ρ² χ²-distributed with 3 degrees of
+    freedom, so that P = E_n[P(χ²₃ > b² / nᵀCn)]. Quadrature over 24 × 32 directions errs by about
+    1e-5, and by up to 1e-3 where one axis is a hundred times wider than both others.
 
     Raises:
         GlissandoError: The bound is not positive.
@@ -117,7 +117,7 @@ class Chance:
             raise GlissandoError(f"A bound of {bound} m cannot be; give one above zero.")
 
     def __call__(self, cov: Array, weight: Array) -> tuple[float, Array]:
-        """Σ w P, gradient w E_n[f(y) y/q n nᵀ] with q = nᵀCn, y = b²/q, f the density of χ²₃."""
+        """Σ w P; gradient w E_n[f(y) y/q n nᵀ] with q = nᵀCn, y = b²/q, f the density of χ²₃."""
         n, share = _directions()
         variance = np.einsum("di,zij,dj->zd", n, cov, n)
         y = self.bound**2 / variance
@@ -150,15 +150,15 @@ OBJECTIVES: dict[str, Callable[..., Objective]] = {
 
 
 def objective_named(name: str, bound: float = 5e-3, longest: float = np.inf) -> Objective:
-    """An objective by its name on the command line.
+    """Create an objective by its name on the command line.
 
     Args:
         name: One of trace, logdet, max and chance.
-        bound: The error, m, whose probability of being exceeded chance measures.
-        longest: Largest bound that is meant, m, such as the robot's length.
+        bound: Position error, m, whose probability of being exceeded is the objective chance.
+        longest: Largest plausible bound, m, such as the robot's length.
 
     Raises:
-        GlissandoError: There is no objective of this name, or the bound is larger.
+        GlissandoError: There is no objective of this name, or the bound exceeds `longest`.
     """
     if name not in OBJECTIVES:
         raise GlissandoError(
@@ -170,7 +170,7 @@ def objective_named(name: str, bound: float = 5e-3, longest: float = np.inf) -> 
 
 
 def require_objective(objective: Objective, longest: float) -> None:
-    """Raise GlissandoError for a class or a text, and for a bound longer than the robot, m."""
+    """Raise GlissandoError unless this is an objective whose bound is at most `longest`, m."""
     if isinstance(objective, type | str) or not callable(objective):
         raise GlissandoError(
             f"The objective is {objective!r}; give Trace(), LogDet(), Worst() or Chance(0.005), "

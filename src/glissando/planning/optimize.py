@@ -1,8 +1,8 @@
-"""Descent inside a convex polytope |A x − centre| ≤ width, which no iterate leaves.
+"""Interior-point descent inside a convex polytope |A x − centre| ≤ width.
 
-A logarithmic barrier, whose weight falls from step to step, keeps every iterate strictly inside.
-The curvature of the function is learned from its gradients. Source: Nocedal and Wright, *Numerical
-Optimization* (2nd ed.), chapters 6 and 19.
+A logarithmic barrier, whose weight decreases from step to step, keeps every iterate strictly
+inside. The Hessian of the function is approximated by quasi-Newton updates (damped BFGS). Source:
+Nocedal and Wright, *Numerical Optimization* (2nd ed.), chapters 6 and 19.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from scipy.sparse import csr_array
 
 from glissando.geometry.se3 import Array
 
-_BARRIER, _FALL = 1e-2, 0.6  # first weight of the barrier, of the value; its factor at each step
-_LEAST = 1e-9  # weight of the barrier, of the value, at which it does not fall further
-_NEAREST = 0.9  # of the way to the boundary, the longest step
-_ARMIJO = 1e-4  # of the predicted decrease that a step must achieve
-_SHRINK, _TRIALS = 0.4, 6  # of a step that does not, and how often
-_ROUNDING = 1e-14  # of the curvature
-_DAMPED = 0.2  # of the curvature so far, the least that a step may measure
+_BARRIER, _FALL = 1e-2, 0.6  # initial weight of the barrier over the value; factor per iteration
+_LEAST = 1e-9  # smallest weight of the barrier over the value
+_NEAREST = 0.9  # longest step, as a share of the way to the boundary
+_ARMIJO = 1e-4  # share of the predicted decrease that a step must achieve
+_SHRINK, _TRIALS = 0.4, 6  # factor by which a rejected step is shortened, and number of trials
+_ROUNDING = 1e-14  # relative rounding error of the curvature
+_DAMPED = 0.2  # smallest measured curvature along a step over the approximate one
 
 Polytope = tuple[Array, Array, Array]
 """A (m, n), centre (m,) and half width (m,) of |A x − centre| ≤ width."""
@@ -36,15 +36,16 @@ def descend(
     tolerance: float = 1e-4,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Array, float]:
-    """Descend from a point strictly inside a polytope to one of lower value.
+    """Minimise a function from a point strictly inside a polytope.
 
     Args:
         function: Value and gradient (n,) at a point (n,).
         start: Point (n,) strictly inside.
         polytope: The limits.
-        iterations: Iterations at most.
-        tolerance: Share of the value that three steps together must gain to go on.
-        progress: Called before each iteration with the number of those done.
+        iterations: Largest number of iterations.
+        tolerance: Stops when three iterations together gain less than this share of the first
+            value.
+        progress: Called before each iteration with the number of completed ones.
 
     Returns:
         The best point (n,), strictly inside, and its value.
@@ -62,7 +63,7 @@ def descend(
         try:
             step = -cho_solve(cho_factor(curvature + weight * barrier_curvature), total)
         except np.linalg.LinAlgError:
-            break  # at a kink of the function its measured curvature is singular to rounding
+            break  # at a kink of the function the approximate Hessian is singular to rounding
         decrease = float(total @ step)
         share = min(1.0, _NEAREST * _steps_to_boundary(x, step, sparse))
         merit = value + weight * _barrier(x, sparse)
@@ -98,7 +99,7 @@ def _barrier(x: Array, polytope: _Sparse) -> float:
 
 
 def _barrier_derivatives(x: Array, polytope: _Sparse) -> tuple[Array, Array]:
-    """Gradient (n,) and curvature (n, n) of the barrier."""
+    """Gradient (n,) and Hessian (n, n) of the barrier."""
     rows, centre, width = polytope
     u = (rows @ x - centre) / width
     near, far = 1.0 / (1.0 - u), 1.0 / (1.0 + u)
@@ -107,7 +108,7 @@ def _barrier_derivatives(x: Array, polytope: _Sparse) -> tuple[Array, Array]:
 
 
 def _steps_to_boundary(x: Array, step: Array, polytope: _Sparse) -> float:
-    """How many such steps lead to the boundary."""
+    """Multiple of a step that reaches the boundary; infinite if none does."""
     rows, centre, width = polytope
     u, move = (rows @ x - centre) / width, rows @ step / width
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -116,14 +117,14 @@ def _steps_to_boundary(x: Array, step: Array, polytope: _Sparse) -> float:
 
 
 def _updated(curvature: Array, step: Array, change: Array) -> Array:
-    """The curvature after a step's change of gradient, kept positive (Powell's damped BFGS)."""
+    """Approximate Hessian, updated by a step's change of gradient (Powell's damped BFGS)."""
     measured = float(step @ change)
     if not np.any(curvature):
         curvature = np.eye(step.size) * max(abs(measured) / float(step @ step), 1e-300)
     along = curvature @ step
     predicted = float(step @ along)
     if predicted <= _ROUNDING * float(np.trace(curvature)) * float(step @ step):
-        return curvature  # along this step it is flat
+        return curvature  # the approximation is flat along this step
     if measured < _DAMPED * predicted:
         share = (1.0 - _DAMPED) * predicted / (predicted - measured)
         change = share * change + (1.0 - share) * along

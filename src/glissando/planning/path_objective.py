@@ -1,8 +1,8 @@
-"""The value of a path and its gradient: one factorisation, one pass forth and one back.
+"""Value and gradient of a path: one factorisation, one forward and one backward pass.
 
 With P the covariance after a path and M the gradient of the objective, dJ = tr(M dP) = −tr(X dΛ)
 for X = P M P, of which a reading needs only the block of its own time cell. P is the inverse of a
-block-tridiagonal matrix, so the contributions of distant cells pass through the gains between
+block-tridiagonal matrix, so the contributions of distant cells are passed on by the gains between
 neighbouring times. Source: equations (21), (23), (24).
 """
 
@@ -26,14 +26,14 @@ from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, Margi
 
 @dataclass(frozen=True)
 class PathObjective:
-    """The objective of a path: call it for the value and gradient of a path.
+    """Objective as a function of a path; a call returns value and gradient.
 
     Attributes:
         problem: The planning problem.
-        objective: The objective over the points of the zones.
-        cell: Time cells (Z,) of the points, in increasing order.
-        rows: Jacobians (Z, p, 2 d) of the points by the modes of their cell.
-        prior_cov: Covariance (Z, p, p) of the points before any reading.
+        objective: Objective over the points of the zones.
+        cell: Indices (Z,) of the points' time cells, in increasing order.
+        rows: Jacobians (Z, p, 2 d) of the points' poses by the modes of their cell.
+        prior_cov: Covariances (Z, p, p) of the points before any reading.
         weight: Weights (Z,) of the points.
     """
 
@@ -45,7 +45,7 @@ class PathObjective:
     weight: Array
 
     def __call__(self, arclength: Array) -> tuple[float, Array]:
-        """Value of a path (T,), and its gradient (T,) by the arclengths."""
+        """Value of a path (T,), and its gradient (T,) with respect to the arclengths."""
         rows, slopes = self.readings(arclength)
         chol, marginals = self._posterior(rows)
         cross, cov = self._point_cov(marginals)
@@ -60,17 +60,17 @@ class PathObjective:
         return self.objective(self.cov(arclength), self.weight)[0]
 
     def cov(self, arclength: Array) -> Array:
-        """Covariance (Z, p, p) of the zones' points after a path (T,)."""
+        """Covariances (Z, p, p) of the zones' points after a path (T,)."""
         return self._point_cov(self._posterior(self.readings(arclength)[0])[1])[1]
 
     def readings(self, arclength: Array) -> tuple[Array, Array]:
-        """Rows (T, C r, 2 d) of all readings on a path (T,), and their slopes by place.
+        """Whitened rows (T, C r, 2 d) of all readings on a path (T,), and their slopes by place.
 
-        They are interpolated by a cubic through four places of the lattice, with a continuous slope
+        Rows are interpolated by a cubic through four places of the lattice, with a continuous slope
         (Catmull and Rom).
 
         Raises:
-            GlissandoError: There is no such path.
+            GlissandoError: The path has another number of steps, or leaves the reach.
         """
         arclength = self.problem.require_path(arclength)
         lattice, table = self.problem.lattice, self._table
@@ -86,14 +86,14 @@ class PathObjective:
 
     @cached_property
     def _table(self) -> Array:
-        """Rows (T, L + 2, r, 2 d) on the lattice and, by parabolas, one place beyond each end."""
+        """Rows (T, L + 2, r, 2 d) on the lattice, with one extrapolated place beyond each end."""
         rows = self.problem.rows
         low, high = rows[:, :3], rows[:, :-4:-1]
         beyond = [3.0 * end[:, :1] - 3.0 * end[:, 1:2] + end[:, 2:] for end in (low, high)]
         return np.concatenate([beyond[0], rows, beyond[1]], axis=1)
 
     def _posterior(self, rows: Array) -> tuple[Cholesky, Marginals]:
-        """Factor and covariances of the modes after readings with these rows (T, q, 2 d)."""
+        """Cholesky factor and marginals of the modes after readings with rows (T, q, 2 d)."""
         prior = self.problem.modes.system
         size = prior.diagonal.shape[1]
         cells = by_cell(rows, self.problem.steps_per_cell)
@@ -106,12 +106,12 @@ class PathObjective:
 
     @cached_property
     def _slot(self) -> Index:
-        """Position of each point (Z,) among those of its time cell."""
+        """Index (Z,) of each point among the points of its time cell."""
         return np.arange(self.cell.size) - np.searchsorted(self.cell, self.cell)
 
     @cached_property
     def _points(self) -> Array:
-        """Rows (K−1, m, p, 2 d) of each time cell's points, padded with zeros."""
+        """Jacobians (K−1, m, p, 2 d) of each time cell's points, padded with zeros."""
         most = int(self._slot.max()) + 1
         out = np.zeros((len(self.problem.modes.pair), most, *self.rows.shape[1:]))
         out[self.cell, self._slot] = self.rows
@@ -119,12 +119,12 @@ class PathObjective:
 
     @cached_property
     def _left(self) -> Array:
-        """Covariance (Z, p, p) of the points that the modes leave uncertain."""
+        """Covariances (Z, p, p) of the points given the modes."""
         modelled = self.rows @ self.problem.modes.pair[self.cell] @ self.rows.mT
         return symmetrize(self.prior_cov - modelled)
 
     def _point_cov(self, marginals: Marginals) -> tuple[Array, Array]:
-        """Covariance (K−1, 2 d, m p) of the modes with each cell's points, and theirs (Z, p, p)."""
+        """Covariances (K−1, 2 d, m p) of the modes with each cell's points, (Z, p, p) of points."""
         cells, count, p, wide = self._points.shape
         rows, size = self._points.reshape(cells, count * p, wide), wide // 2
         early, late = rows[..., :size].mT, rows[..., size:].mT
@@ -144,11 +144,11 @@ class PathObjective:
         rows: Array,
         slopes: Array,
     ) -> Array:
-        """Diagonals (K−1, q) of rows X slopesᵀ, rows (K−1, q, 2 d) of cells, for X = P M P.
+        """Diagonals (K−1, q) of rows X slopesᵀ for X = P M P; rows and slopes are (K−1, q, 2 d).
 
-        M is given by its blocks (Z, p, p) at the points. A time depends on what lies beyond its
-        neighbour only through the neighbour: P(j, later) = G_j P(j+1, later) with the gain
-        G_j = −S_j⁻¹ U_j, hence also P(earlier j, k) = G_j … G_k−1 P(k, k).
+        M is given by its blocks (Z, p, p) at the points. The chain is Markov: with the gain
+        G_j = −S_j⁻¹ U_j, P(j, k) = G_j P(j+1, k) for all k > j, hence also
+        P(j, k) = G_j … G_k−1 P(k, k).
         """
         cells, count, p, wide = self._points.shape
         first, last = slice(0, wide // 2), slice(wide // 2, wide)
@@ -161,10 +161,10 @@ class PathObjective:
         weighted_ends, ends = (x.reshape(cells, count * p, -1) for x in (by_point @ ends, ends))
         after = weighted[:, first] @ cross[:, first].mT
         before = ends.mT @ weighted_ends
-        later = np.zeros_like(gain)  # P M P at k + 1, of cells after k
+        later = np.zeros_like(gain)  # P M P at k + 1, contribution of the cells after k
         for k in reversed(range(cells - 1)):
             later[k] = after[k + 1] + gain[k + 1] @ later[k + 1] @ gain[k + 1].T
-        earlier = np.zeros_like(gain)  # between two P(k, k) it is P M P at k, of cells before k
+        earlier = np.zeros_like(gain)  # P M P at k, of cells before k, without P(k, k) at both ends
         for k in range(1, cells):
             earlier[k] = before[k - 1] + gain[k - 1].T @ earlier[k - 1] @ gain[k - 1]
         cov, lagged = marginals.cov[:-1], marginals.cross.mT
@@ -180,11 +180,11 @@ class PathObjective:
 def path_objective_of(
     problem: PlanningProblem, zones: Sequence[Zone], objective: Objective
 ) -> PathObjective:
-    """The objective of a path over zones, at the middles of the time cells.
+    """Objective of a path over zones, evaluated at the middles of the time cells.
 
     Raises:
-        GlissandoError: There is no zone, or one leaves the body or the time ahead, or the
-            objective is none.
+        GlissandoError: There is no zone, a zone leaves the body or the horizon, or `objective` is
+            not an objective.
     """
     advice = "give predict_information(…)"
     require_kind(problem, PlanningProblem, "planning problem", advice)
@@ -198,7 +198,7 @@ def path_objective_of(
 
 
 def by_cell(rows: Array, steps_per_cell: int) -> Array:
-    """Rows (K−1, m, 2 d) of time cells from those (T, q, 2 d) of steps, zero-padded."""
+    """Rows (T, q, 2 d) of steps, grouped by time cell (K−1, m, 2 d) and zero-padded."""
     cells = -(-len(rows) // steps_per_cell)
     out = np.zeros((cells * steps_per_cell, *rows.shape[1:]))
     out[: len(rows)] = rows
@@ -206,7 +206,10 @@ def by_cell(rows: Array, steps_per_cell: int) -> Array:
 
 
 def cubic_weights(x: Array) -> Array:
-    """Weights (…, 2, 4) of the neighbours of a place x in [0, 1] between the middle two; slopes."""
+    """Catmull–Rom weights of four neighbours for x in [0, 1] between the middle two, and slopes.
+
+    The result (…, 2, 4) holds the weights, then their derivatives by x.
+    """
     basis = 0.5 * np.array([[0, -1, 2, -1], [2, 0, -5, 3], [0, 1, 4, -3], [0, 0, -1, 1]])
     order = np.arange(4)
     powers = np.stack([x[..., None] ** order, order * x[..., None] ** np.maximum(order - 1, 0)], -2)

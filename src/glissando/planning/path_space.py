@@ -1,9 +1,9 @@
-"""The space of paths that a stage can follow: its limits hold by construction.
+"""Paths that a stage can follow: B-splines that keep its limits by construction.
 
 A path is a uniform quadratic B-spline in time, so its acceleration is constant between knots. Its
 speed at the knots is the first difference of the control points, its acceleration their second
-difference, and it never leaves their hull. Limits on these are therefore limits on the path at
-every instant; they bound a convex polytope of control points.
+difference, and it never leaves their convex hull. Limits on the control points and their
+differences therefore hold for the path at every instant; they form a convex polytope.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from glissando.geometry.se3 import Array
 from glissando.model.slide_path import SlideLimits
 from glissando.planning.optimize import Polytope
 
-_SHARE = 1.0 - 1e-7  # of a limit, so that rounding does not break it
-_TOUCH = 1e-10  # m, by which a path at the end of the slide may go beyond it
+_SHARE = 1.0 - 1e-7  # share of a limit that is used, so that rounding does not exceed it
+_TOUCH = 1e-10  # m, by which a path may pass the end of the slide
 
 
 @dataclass(frozen=True)
 class PathSpace:
-    """All paths of a stage from where it is, which are at rest in the end.
+    """All paths of a stage with a given initial position and speed that end at rest.
 
     Attributes:
         lower: Lowest arclength of the sensor, m.
@@ -34,11 +34,11 @@ class PathSpace:
         acceleration: Largest acceleration, m/s².
         step: Duration of a piece of the spline, s.
         steps: Number T of pieces.
-        start: Arclength in the beginning, m.
-        start_speed: Speed in the beginning, m/s.
+        start: Initial arclength, m.
+        start_speed: Initial speed, m/s.
 
     Raises:
-        GlissandoError: The limits leave no path, or the sensor cannot stop within them.
+        GlissandoError: The limits admit no path, or the sensor cannot stop within them.
     """
 
     lower: float
@@ -78,7 +78,7 @@ class PathSpace:
 
     @property
     def times(self) -> Array:
-        """Middles (T,) of the steps, s from the start, at which a path is evaluated."""
+        """Midpoints (T,) of the steps, s from the start, at which a path is evaluated."""
         return np.asarray((np.arange(self.steps) + 0.5) * self.step)
 
     @property
@@ -96,16 +96,16 @@ class PathSpace:
         return (control[..., :-2] + 6.0 * control[..., 1:-1] + control[..., 2:]) / 8.0
 
     def knots(self, control: Array) -> tuple[Array, Array, Array]:
-        """Times, arclengths and speeds (T + 1,) at knots of constant acceleration."""
+        """Times, arclengths and speeds (T + 1,) at knots with constant acceleration between."""
         place = 0.5 * (control[1:] + control[:-1])
         time = np.asarray(self.step * np.arange(self.steps + 1))
         return time, place, np.diff(control) / self.step
 
     def follow(self, target: Array) -> Array:
-        """Control points (…, T + 2) of paths as near to targets as the limits allow.
+        """Control points (…, T + 2) of paths that follow targets as closely as the limits allow.
 
-        The targets (…, T + 2) are at `control_times`. Each move is the longest towards the target
-        that can still be stopped before the slide or the time ends.
+        The targets (…, T + 2) are at `control_times`. Each move towards the target is the longest
+        from which the path can still stop before the end of the slide and of the time.
         """
         sharpest = self._largest[1]
         out = np.empty(target.shape)
@@ -120,7 +120,7 @@ class PathSpace:
         return out
 
     def _bounds(self, place: Array, move: Array, left: int) -> tuple[Array, Array]:
-        """Bounds of the next move from a control point, `left` moves before the path rests."""
+        """Bounds of the next move from a control point, `left` moves before the end at rest."""
         fastest, sharpest = self._largest
         most = min(fastest, left * sharpest)
         low = np.maximum(move - sharpest, -most)
@@ -130,7 +130,7 @@ class PathSpace:
 
     @cached_property
     def polytope(self) -> Polytope:
-        """The limits on the n = T − 1 free control points, third to last but one.
+        """Limits of the n = T − 1 free control points, the third to the last but one.
 
         The last control point equals the one before, so that the path ends at rest.
         """
@@ -148,14 +148,15 @@ class PathSpace:
         return _free(rows), 0.5 * (high + low) - rows[:, :2] @ begun, 0.5 * (high - low)
 
     def control(self, free: Array) -> Array:
-        """All control points (T + 2,) of a path with the free ones (n,), m."""
+        """All control points (T + 2,) of a path, m, from the free ones (n,)."""
         half = 0.5 * self.start_speed * self.step
         return np.concatenate([[self.start - half, self.start + half], free, free[-1:]])
 
     def free_gradient(self, by_place: Array, by_control: Array) -> Array:
-        """Gradient (n,) by the free control points.
+        """Gradient (n,) with respect to the free control points.
 
-        It is the sum of those `by_place` (T,) at `times` and `by_control` (T + 2,) points.
+        The value's partial gradients are `by_place` (T,), with respect to arclengths at `times`,
+        and `by_control` (T + 2,), with respect to all control points.
         """
         total = by_control.copy()
         for i, share in enumerate((0.125, 0.75, 0.125)):
@@ -166,14 +167,17 @@ class PathSpace:
 def path_space_of(
     limits: SlideLimits, upper: float, start: float, horizon: float, step: float = 0.1
 ) -> PathSpace:
-    """The paths of a stage.
+    """Space of the paths of a stage from rest.
 
     Args:
         limits: Limits of the stage.
-        upper: Arclength of the sensor when it is drawn out, m.
-        start: Arclength of the sensor in the beginning, m.
+        upper: Arclength of the sensor at zero displacement of the stage, m.
+        start: Initial arclength of the sensor, m.
         horizon: Duration of a path, s.
         step: Duration of a piece of the spline, s.
+
+    Raises:
+        GlissandoError: The horizon is shorter than two steps, or the limits admit no path.
     """
     require_kind(limits, SlideLimits, "limits of the slide", "give SlideLimits(…)")
     if not (0.0 < step < np.inf and 2.0 * step <= horizon * (1.0 + 1e-9) < np.inf):
@@ -186,7 +190,7 @@ def path_space_of(
 
 
 def _free(by_control: Array) -> Array:
-    """Columns (…, n) of the free control points, of those (…, T + 2) of all."""
+    """Columns (…, n) of the free control points, from columns (…, T + 2) of all."""
     out = by_control[..., 2:-1].copy()
     out[..., -1] += by_control[..., -1]
     return out
@@ -195,8 +199,8 @@ def _free(by_control: Array) -> Array:
 def _stoppable(distance: Array, sharpest: float, last: Array | float = 0.0) -> Array:
     """Longest next move that, shortened by `sharpest` each time, stops within a distance.
 
-    The second control point may lie beyond the end, at a negative distance, where a path begins
-    between the knots of another one: it has to turn before the end, after the `last` move.
+    A path that begins between the knots of another may have its second control point beyond the
+    end, at a negative distance. It then has to turn back before the end, after the `last` move.
     """
     ratio = np.maximum(distance, 0.0) / sharpest
     count = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * ratio) - 1.0))
@@ -205,11 +209,11 @@ def _stoppable(distance: Array, sharpest: float, last: Array | float = 0.0) -> A
 
 
 def _turning(distance: Array, last: Array | float) -> Array:
-    """Longest next move of a piece that turns before the end of the slide.
+    """Longest next move of a piece that turns back before the end of the slide.
 
-    Its curve begins at half the `last` move before the second control point, with that move as its
-    speed, so it turns after last² / (2 (last − next)), which ends at the end of the slide. Where
-    the second control point lies before the end, `distance` > 0, the hull is bound enough.
+    The curve begins half the `last` move before the second control point, with that move as its
+    speed, so it turns after last² / (2 (last − next)), which must not pass the end of the slide.
+    If the second control point lies before the end, `distance` > 0, the convex hull suffices.
     """
     room = np.maximum(distance + 0.5 * last, 0.0) + _TOUCH
     turned = np.minimum(distance, last - 0.5 * last**2 / room)

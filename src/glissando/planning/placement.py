@@ -1,10 +1,10 @@
-"""Which sensors to buy and where to put them: the set within a budget that makes zones certain.
+"""Sensor placement: the set of candidates within a budget that makes zones least uncertain.
 
-The robot holds its shape while every sensor reads for a while. Each candidate then measures a few
-of the directions of motion that zones ask for, so a set is judged by one small inverse. Sets are
-found greedily and improved by exchanges. How much better any other set of the same budget could be
-is bounded by the convex problem in which candidates are bought in part. Source: Joshi and Boyd
-(2009), Sensor selection via convex optimization; equation (23).
+The robot holds its shape while all sensors read for some time. Each candidate then measures a few
+of the directions in state space that matter to the zones, so a set is evaluated by one small
+inverse. Sets are found greedily and improved by exchanges. A lower bound for all sets of the same
+budget comes from the convex relaxation, in which fractions of candidates are bought. Source: Joshi
+and Boyd (2009), Sensor selection via convex optimization; equation (23).
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from glissando.planning.prediction import PredictedInformation, Rows, look_ahead
 from glissando.planning.zones import Zone, zone_points
 from glissando.solver.block_tridiagonal import factor
 
-_NUMBERS = 1000  # of all nodes together, about
-_INSIDE = 2  # readings that stand for those of a cell
-_LEFT = 1e-2  # of the variance after all sensors: directions that gain less are left out together
-_PAIRS = 6  # sensors of a set up to which pairs are exchanged
-_GAIN = 1e-6  # of the variance: exchanges that gain less are not worth it
+_NUMBERS = 1000  # state variables of all nodes together, approximately
+_INSIDE = 2  # readings per time cell that represent all readings in it
+_LEFT = 1e-2  # share of the variance after all sensors that neglected directions gain in sum
+_PAIRS = 6  # largest set in which pairs of sensors are exchanged
+_GAIN = 1e-6  # least relative decrease of the variance for an exchange
 
 
 @dataclass(frozen=True)
 class Placement:
-    """A set of sensors, and what it leaves uncertain.
+    """A set of sensors, and the uncertainty that remains with it.
 
     Attributes:
-        budget: What it was allowed to cost.
-        cost: What it costs.
+        budget: Largest cost allowed.
+        cost: Cost of the set.
         chosen: The sensors, in the order in which they were found.
         std: Root of the mean position variance in the zones, m.
-        bound: What no set within the budget goes below, m.
+        bound: Lower bound of `std` for all sets within the budget, m.
     """
 
     budget: float
@@ -57,14 +57,14 @@ class Placement:
 
 @dataclass(frozen=True)
 class PlacementProblem:
-    """Candidates by what they measure of d directions that are known to variance one.
+    """Measurements of all candidates in d directions of state space with unit prior variance.
 
     Attributes:
         candidates: The sensors (C,).
-        rows: What each measures, whitened (r, d).
-        weight: Weight (d, d) of those directions in the zones.
-        left: Mean position variance of the zones that no candidate can lower, m².
-        horizon: How long the sensors read, s.
+        rows: Whitened Jacobian (r, d) of each candidate's readings.
+        weight: Weight (d, d) of the directions' covariance in the zones' variance, m².
+        left: Mean position variance of the zones that no candidate can reduce, m².
+        horizon: Time for which the sensors read, s.
     """
 
     candidates: Sequence[Candidate]
@@ -80,20 +80,20 @@ class PlacementProblem:
 
     @cached_property
     def information(self) -> Array:
-        """What each adds (C, d, d)."""
+        """Information matrices (C, d, d) of the candidates."""
         return np.stack([rows.T @ rows for rows in self.rows])
 
     def variance(self, share: Array) -> float:
-        """Mean position variance in the zones, m², with a share (C,) from 0 to 1 of each sensor."""
+        """Mean position variance in the zones, m², with fractions (C,) in [0, 1] of the sensors."""
         return self.left + float(np.sum(self._cov(share) * self.weight))
 
     def slopes(self, share: Array) -> Array:
-        """Slopes (C,) of `variance` by the shares."""
+        """Gradient (C,) of `variance` with respect to the fractions."""
         cov = self._cov(share)
         return -np.einsum("cij,ji->c", self.information, cov @ self.weight @ cov)
 
     def gains(self, share: Array, which: Sequence[int]) -> Array:
-        """How much each of some more sensors (G,) lowers the variance, m²."""
+        """Decrease (G,) of the variance, m², by each of the sensors `which` added alone."""
         cov = self._cov(share)
         square, out = cov @ self.weight @ cov, []
         for rows in (self.rows[i] for i in which):
@@ -109,18 +109,19 @@ class PlacementProblem:
 def placement_problem(
     robot: Robot, candidates: Sequence[Candidate], zones: Sequence[Zone], *, horizon: float = 10.0
 ) -> PlacementProblem:
-    """What each candidate adds to what is known of zones, for a robot that rests.
+    """Set up the placement problem: information of each candidate about zones of a robot at rest.
 
-    A candidate's noise is all that is unknown of it: the robot's sensor parameters are left out.
+    Candidates have measurement noise only; the robot's sensor parameters are neglected.
 
     Args:
-        robot: The robot: its prior is what is known without sensors.
-        candidates: The sensors that could be bought.
-        zones: The zones that count.
-        horizon: How long sensors read, s; on a robot of many numbers the problem's is shorter.
+        robot: The robot, whose prior is the knowledge without sensors.
+        candidates: Sensors that could be bought.
+        zones: Zones of interest.
+        horizon: Time for which sensors read, s; reduced for robots with many state variables.
 
     Raises:
-        GlissandoError: There is no candidate, the horizon is no time, or a zone counts later.
+        GlissandoError: There is no candidate, the horizon is not positive and finite, or a zone
+            counts only after the horizon.
         UnobservableError: The prior leaves the base unknown.
     """
     if not candidates:
@@ -130,7 +131,7 @@ def placement_problem(
     belief = belief_of(robot)
     size = belief.hold_shape(Grid(belief.arclength, [0.0])).numbers
     cells = max(1, min(round(horizon * robot.time_rate), _NUMBERS // size - 1))
-    horizon = min(horizon, cells / robot.time_rate)  # time nodes are as close as the robot asks
+    horizon = min(horizon, cells / robot.time_rate)  # time nodes at the robot's own rate
     for zone in zones:
         if zone.time is not None and zone.time[0] > horizon:
             raise GlissandoError(
@@ -157,7 +158,7 @@ def placement_problem(
 
 
 def _dense(ahead: PredictedInformation, rows: Rows) -> Array:
-    """Rows (M · r, K, D) as functions of all nodes."""
+    """Dense Jacobian (M · r, K, D) of rows with respect to all time nodes."""
     count, r = rows.jacobian.shape[:2]
     shape = ahead.system.diagonal.shape[:2]
     out = np.zeros((count, r, shape[0] * shape[1]))
@@ -173,7 +174,7 @@ def _reduced(
     wanted: Array,
     left: float,
 ) -> PlacementProblem:
-    """The problem in the directions that readings see, which are all that they can make certain."""
+    """Placement problem reduced to the measured directions, whose variance readings can lower."""
     cholesky = factor(ahead.system)
     seen, wanted_rows = (
         cholesky.whitened(rows).reshape(len(rows), -1) for rows in (np.concatenate(blocks), wanted)
@@ -193,11 +194,14 @@ def _reduced(
 
 
 def place_sensors(problem: PlacementProblem, budgets: Sequence[float]) -> Iterator[Placement]:
-    """The best sets found for each budget, with a bound on what any set could do.
+    """Find the best set for each budget, with a lower bound for all sets within it.
 
     Args:
-        problem: The candidates.
-        budgets: What sets may cost, in rising order.
+        problem: The placement problem.
+        budgets: Largest costs of the sets, in increasing order.
+
+    Yields:
+        A placement for each budget.
 
     Raises:
         GlissandoError: A budget buys nothing, is not finite, or is less than the one before.
@@ -224,7 +228,7 @@ def place_sensors(problem: PlacementProblem, budgets: Sequence[float]) -> Iterat
             float(cost @ share),
             tuple(problem.candidates[i] for i in before),
             float(np.sqrt(problem.variance(share))),
-            float(np.sqrt(max(bounds[i:]))),  # what bounds a larger budget bounds this
+            float(np.sqrt(max(bounds[i:]))),  # the bound of a larger budget holds here too
         )
 
 
@@ -241,7 +245,7 @@ def _greedy(
     chosen: Sequence[int] = (),
     without: Sequence[int] = (),
 ) -> list[int]:
-    """One more sensor after the other: what lowers the variance most, or most for its cost."""
+    """Set grown sensor by sensor, by the decrease of the variance, or by that over the cost."""
     cost, chosen = problem.cost, list(chosen)
     while True:
         share = _share(problem, chosen)
@@ -257,7 +261,7 @@ def _greedy(
 
 
 def _exchanged(problem: PlacementProblem, budget: float, chosen: list[int]) -> list[int]:
-    """The set, while another beside it lowers the variance; the best beside it comes next."""
+    """Local optimum: the set is replaced by its best neighbour while that lowers the variance."""
 
     def variance(chosen: list[int]) -> float:
         return problem.variance(_share(problem, chosen))
@@ -270,7 +274,7 @@ def _exchanged(problem: PlacementProblem, budget: float, chosen: list[int]) -> l
 
 
 def _beside(problem: PlacementProblem, budget: float, chosen: list[int]) -> Iterator[list[int]]:
-    """Sets with others in place of one sensor, or of two, and those with one more at any price."""
+    """Neighbours of a set: one or two sensors replaced, or one added and others removed for it."""
     outs: list[tuple[int, ...]] = [(out,) for out in chosen]
     if len(chosen) <= _PAIRS:
         outs += combinations(chosen, 2)
@@ -287,7 +291,10 @@ def _beside(problem: PlacementProblem, budget: float, chosen: list[int]) -> Iter
 def _paid_for(
     problem: PlacementProblem, budget: float, chosen: Sequence[int], new: int
 ) -> tuple[list[int], list[int]]:
-    """The set with a sensor more, less those that are missed least for their cost; and these."""
+    """Set with sensor `new` within the budget, and the sensors removed to pay for it.
+
+    The sensors removed are those whose loss raises the variance least for their cost.
+    """
     affordable, out, cost = [*chosen, new], list[int](), problem.cost
     while cost[affordable].sum() > budget + 1e-9:
         whole = problem.variance(_share(problem, affordable))
@@ -300,9 +307,9 @@ def _paid_for(
 
 
 def lower_bound(problem: PlacementProblem, budget: float) -> float:
-    """A mean position variance, m², that no set within a budget goes below.
+    """Lower bound of the mean position variance, m², of all sets within a budget.
 
-    The variance is convex in the shares: a plane that touches it lies below it everywhere.
+    The variance is convex in the fractions, so a tangent plane lies below it everywhere.
     """
     cost, whole = problem.cost, problem.variance(np.zeros(len(problem.candidates)))
     share = np.full(cost.size, min(1.0, budget / cost.sum()))
@@ -317,8 +324,8 @@ def lower_bound(problem: PlacementProblem, budget: float) -> float:
     )
     at = np.clip(best.x, 0.0, 1.0)
     slopes, room, least = problem.slopes(at), budget, 0.0
-    for i in np.argsort(slopes / cost):  # the plane's least value: what lowers it most for its cost
+    for i in np.argsort(slopes / cost):  # minimum of the plane: largest decrease per cost first
         part = min(1.0, room / cost[i])
         least, room = least + part * slopes[i], room - part * cost[i]
     plane = problem.variance(at) + least - float(slopes @ at)
-    return max(plane, problem.left, 0.0)  # a plane that touches far away falls below these
+    return max(plane, problem.left, 0.0)  # a tangent plane far from the optimum may be lower

@@ -1,4 +1,4 @@
-"""The best path of a sliding sensor: starts of many kinds, the best of them improved by descent."""
+"""The best path of a sliding sensor: descent from the best of many different start paths."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from glissando.planning.path_objective import PathObjective
 from glissando.planning.path_space import PathSpace
 from glissando.planning.zones import Zone
 
-_RANDOM, _DWELLING = 4, 20  # random starts, and such that dwell
-_FLAT = 1e-9  # by which values of starts differ, if any is better
-_ALIKE = 0.05  # of the reach, within which two paths are one start
-_ITERATIONS, _STEPS = 12, 8  # of the best start: at least, and steps of its path for each
-_BRIEFLY = 4  # times fewer for each of the other starts
-_DRAWN = 0.1  # share of the way to the middle path that a start is drawn, to be inside
+_RANDOM, _DWELLING = 4, 20  # number of random starts, and of random starts that dwell
+_FLAT = 1e-9  # relative difference below which values of starts are equal
+_ALIKE = 0.05  # RMS distance over the reach, below which two paths count as one start
+_ITERATIONS, _STEPS = 12, 8  # least iterations for the best start; path steps per iteration
+_BRIEFLY = 4  # factor by which the other starts have fewer iterations
+_DRAWN = 0.1  # share of the way to the middle path by which a start is moved inside the limits
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,10 @@ class Plan(ShortRepr):
     """A planned path with its predicted value.
 
     Attributes:
-        times: Middles (T,) of the steps, absolute, s.
+        times: Midpoints (T,) of the steps in absolute time, s.
         arclength: Arclengths (T,) of the first coil at these times, m.
         control: Control points (T + 2,) of the path, m.
-        path_space: The space of paths that it was chosen from.
+        path_space: Space from which the path was chosen.
         value: Value of the objective.
         starts: Value of every start by name.
     """
@@ -57,7 +57,7 @@ class Plan(ShortRepr):
         return float(self.times[0] - self.path_space.times[0])
 
     def at(self, time: ArrayLike) -> tuple[Array, Array]:
-        """Arclength (…), m, and speed (…), m/s, at absolute times, s, or at rest after."""
+        """Arclength (…), m, and speed (…), m/s, at absolute times (…), s; at rest after the end."""
         knots, place, speed = self.knots()
         elapsed = np.clip(np.asarray(time, dtype=float) - self.start, 0.0, knots[-1])
         k = np.minimum((elapsed / self.path_space.step).astype(np.intp), knots.size - 2)
@@ -67,11 +67,11 @@ class Plan(ShortRepr):
         return place_now, speed[k] + acceleration * since
 
     def knots(self) -> tuple[Array, Array, Array]:
-        """Times from the start, arclengths and speeds at knots of constant acceleration."""
+        """Times from the start, arclengths and speeds (T + 1,) at the knots of the path."""
         return self.path_space.knots(self.control)
 
     def slide_path(self, tip: float, limits: SlideLimits) -> SlidePath:
-        """The path as displacements of the stage, from the sensor drawn out to `tip`, m."""
+        """The path as displacements of the stage, which are zero at the arclength `tip`, m."""
         time, place, speed = self.knots()
         return SlidePath(time, tip - place, -speed, limits)
 
@@ -88,26 +88,27 @@ def plan_slide(
     warm_start: Array | None = None,
     progress: Callable[[float, float], None] | None = None,
 ) -> Plan:
-    """Find the path of least value in a path space; it is never worse than any start.
+    """Find the path of least value in a path space; the result is never worse than any start.
 
     Args:
-        objective: The objective of a path.
-        path_space: The paths to choose from.
-        zones: Zones at which it may pay to start.
-        speed_weight: Weight of the mean square speed, s² times the objective's unit.
+        objective: Objective of a path.
+        path_space: Admissible paths.
+        zones: Zones in which further start paths are placed.
+        speed_weight: Weight of the mean square speed, (s/m)² times the objective's unit.
         seed: Seed of the random starts.
-        candidates: How many of the best starts that differ are improved.
-        iterations: Iterations at most for the best of these; by default more for a longer path.
+        candidates: Number of distinct starts, the best ones, that are improved.
+        iterations: Largest number of iterations for the best of these; by default it increases
+            with the length of the path.
         warm_start: Control points (T + 2,) of a further start, m.
-        progress: Called with the number of iterations done, those that a search spares included,
-            and of all.
+        progress: Called with the numbers of completed and of all iterations; iterations that a
+            converged search does not need count as completed.
 
     Raises:
-        GlissandoError: The path space has not the steps of the planning problem, or the weight is
-            below zero.
+        GlissandoError: The steps of path space and planning problem differ, or the weight is
+            negative or not finite.
 
     Warns:
-        PlanWarning: No start is worth more than another.
+        PlanWarning: All starts have the same value.
     """
     _require_plannable(objective, path_space, speed_weight)
     targets = starts(path_space, zones, objective.problem.start, seed)
@@ -131,7 +132,7 @@ def plan_slide(
 def _require_plannable(
     objective: PathObjective, path_space: PathSpace, speed_weight: float
 ) -> None:
-    """Raise GlissandoError unless these are an objective and a space of the same steps."""
+    """Raise GlissandoError unless objective and path space have the same steps."""
     require_kind(objective, PathObjective, "objective of a path", "give path_objective_of(…)")
     require_kind(path_space, PathSpace, "path space", "give path_space_of(…)")
     problem = objective.problem
@@ -149,10 +150,10 @@ def _require_plannable(
 def starts(
     path_space: PathSpace, zones: Sequence[Zone], begin: float, seed: int
 ) -> dict[str, Array]:
-    """Arclengths (T + 2,) by name, m, that the first paths of a search aim at.
+    """Target arclengths (T + 2,) of the start paths by name, m.
 
-    Fixed, oscillating and sweeping over all of the reach, in the zones, at random, and dwelling at
-    random at either end and in the zones. The time ahead begins at `begin`, s.
+    The targets are fixed, in the zones, oscillating or sweeping over the reach, random, and
+    switching at random times between both ends and the zones. The horizon begins at `begin`, s.
     """
     low, high = path_space.lower, path_space.upper
     time, stroke = path_space.control_times, high - low
@@ -183,7 +184,7 @@ def starts(
 
 
 def _warn_of_flat(values: Sequence[float]) -> None:
-    """Say so where no start is worth more than another, as of a chance that is 0 or 1."""
+    """Warn if all starts have the same value, for instance a probability of 0 or 1."""
     if len(values) > 1 and np.ptp(values) <= _FLAT * max(map(abs, values)):
         warnings.warn(
             f"Every path has the value {values[0]:.3g}, so none is better than another: give an "
@@ -195,7 +196,7 @@ def _warn_of_flat(values: Sequence[float]) -> None:
 
 @dataclass(frozen=True)
 class _Search:
-    """A search for the path of least value, the weighted mean square speed included."""
+    """Search for the path of least objective plus weighted mean square speed."""
 
     objective: PathObjective
     path_space: PathSpace
@@ -210,12 +211,12 @@ class _Search:
     def best_from(
         self, ranked: Sequence[tuple[Array, float]], candidates: int, iterations: int
     ) -> tuple[Array, float]:
-        """The best path, and its value, by improving the best starts that differ, then the best.
+        """Improve the best distinct starts briefly, then the best result; returns path and value.
 
         Args:
             ranked: Control points (T + 2,) of starts with their values, the best first.
-            candidates: How many of them are improved.
-            iterations: Iterations at most for the best of these.
+            candidates: Number of starts that are improved.
+            iterations: Largest number of iterations for the best of these.
         """
         apart = _ALIKE * (self.path_space.upper - self.path_space.lower)
         briefly = max(1, iterations // _BRIEFLY)
@@ -234,7 +235,10 @@ class _Search:
     def improve(
         self, control: Array, iterations: int, progress: Callable[[int], None]
     ) -> tuple[Array, float]:
-        """A better path from one within the limits, and its value."""
+        """Path found by descent from one within the limits, and its value.
+
+        The value is infinite if no start strictly inside the limits is found.
+        """
         space, middle = self.path_space, self._middle_path[2:-1]
 
         def value(free: Array) -> tuple[float, Array]:
@@ -260,7 +264,7 @@ class _Search:
 
     @cached_property
     def _middle_path(self) -> Array:
-        """A path (T + 2,) that keeps all limits with something to spare: gently to the middle."""
+        """Path (T + 2,) strictly inside all limits: slowly away from the ends of the slide."""
         space = self.path_space
         room = 0.1 * (space.upper - space.lower)
         target = np.clip(space.start, space.lower + room, space.upper - room)
@@ -274,7 +278,7 @@ class _Search:
 
 
 def _distinct(paths: Sequence[Array], apart: float, count: int) -> list[Array]:
-    """The first `count` paths that are as far apart in the root mean square."""
+    """The first `count` paths whose pairwise RMS distance exceeds `apart`, m."""
     distinct: list[Array] = []
     for path in paths:
         if len(distinct) < count and all(np.mean((path - p) ** 2) > apart**2 for p in distinct):

@@ -1,4 +1,4 @@
-"""Where a plan is computed: in the loop's own thread, or in another process beside the loop."""
+"""Planners compute plans: in the control loop's own thread, or in a separate process."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ import numpy as np
 from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
 
-_READY, _END = 120.0, 5.0  # s that the process may take to begin and to end
-_NICE = 10  # by how much its priority is below the loop's
+_READY, _END = 120.0, 5.0  # s, timeouts for the start and the end of the process
+_NICE = 10  # niceness of the process above that of the loop
 
 Result = TypeVar("Result")
 Task = Callable[[], Result]
-"""Computes a plan when called; another process needs one that can be pickled."""
+"""Computes a plan when called; `ProcessPlanner` requires that it can be pickled."""
 
 
 class PlannerExitedError(GlissandoError):
@@ -30,29 +30,33 @@ class PlannerExitedError(GlissandoError):
 
 
 class InlinePlanner(Generic[Result]):
-    """Computes plans in the caller's own thread, when asked for the result.
+    """Computes plans in the caller's own thread, when the result is requested.
 
-    A planner computes one plan at a time: the result of a task comes before the next task.
+    A planner computes one plan at a time: request the result of a task before the next task.
     """
 
     def __init__(self) -> None:
         self._task: Task[Result] | None = None
 
     def submit(self, task: Task[Result]) -> None:
-        """Keep the task."""
+        """Store the task until `result` is called."""
         self._task = task
 
     def result(self) -> Result | None:
-        """The plan, computed now."""
+        """Compute and return the plan of the stored task; None if there is none.
+
+        Raises:
+            GlissandoError: The task fails.
+        """
         task, self._task = self._task, None
         return None if task is None else _planned(task)
 
 
 class ProcessPlanner(Generic[Result]):
-    """Computes plans in a process of its own, at a lower priority than the loop.
+    """Computes plans in a separate process, at a lower priority than the loop.
 
-    The process lasts as long as the context. It is started afresh ("spawn"), so a script that uses
-    it needs the usual `if __name__ == "__main__":`, and pickle must take the zones and motions.
+    The process lives as long as the `with` block. It is started by the method "spawn", so a script
+    needs the usual `if __name__ == "__main__":`, and zones and motions must be picklable.
 
     Raises:
         GlissandoError: The process does not start.
@@ -82,7 +86,7 @@ class ProcessPlanner(Generic[Result]):
         self._connection.close()
 
     def ready(self, timeout: float = 0.0) -> bool:
-        """Whether a result comes within `timeout` seconds."""
+        """Whether a result is available within `timeout` seconds."""
         return self._connection.poll(timeout)
 
     def submit(self, task: Task[Result]) -> None:
@@ -101,16 +105,16 @@ class ProcessPlanner(Generic[Result]):
         threading.Thread(target=self._send, args=(message,), daemon=True).start()
 
     def _send(self, message: bytes) -> None:
-        """Send what may be more than fits a pipe, for which the loop must not wait."""
+        """Send a message in a thread of its own, as one larger than the pipe's buffer blocks."""
         with suppress(OSError):
             self._connection.send_bytes(message)
 
     def result(self) -> Result | None:
-        """The plan, once, if it is ready by now.
+        """Return the plan if it is ready, else None; each plan is returned once.
 
         Raises:
-            GlissandoError: No plan can be made.
-            PlannerExitedError: None ever will be.
+            GlissandoError: The task failed.
+            PlannerExitedError: The process has ended, so no plan will follow.
         """
         try:
             answer = self._connection.recv() if self.ready() else None
@@ -126,7 +130,7 @@ Planner = InlinePlanner[Result] | ProcessPlanner[Result]
 
 
 def _planned(task: Task[Result]) -> Result:
-    """The plan of a task; numbers that break down on the way are no plan, and no end either."""
+    """Run a task; a numerical failure becomes a GlissandoError, so that the process goes on."""
     try:
         return task()
     except np.linalg.LinAlgError as problem:
@@ -134,8 +138,8 @@ def _planned(task: Task[Result]) -> Result:
 
 
 def _work(connection: Connection) -> None:
-    """Answer one task after another until the connection closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop says when to end
+    """Receive tasks and send their plans until the connection closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the loop ends the process
     if hasattr(os, "nice"):
         os.nice(_NICE)
     with one_thread(), suppress(EOFError, OSError):

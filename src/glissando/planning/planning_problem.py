@@ -1,9 +1,9 @@
-"""The planning problem: the time ahead in few numbers, and every reading a sensor could take.
+"""The planning problem: prior information over the horizon, and Jacobians of all readings.
 
-The place of a sensor changes what is known; the values it reads do not. Planning therefore needs
-only the prior's information over the time ahead, and the Jacobian of a reading at every place and
-time. The estimator's own code computes both once. They are then reduced to the few modes of the
-body's shape that the sensor can measure, so that a path is evaluated in milliseconds.
+The posterior covariance depends on the places of the readings, not on their values. Planning
+therefore needs only the prior's information over the horizon, and the Jacobian of a reading at
+every place and time. The estimator's own code computes both once. They are then reduced to the few
+modes of the body's state that the sensor can measure, so that a path is evaluated in milliseconds.
 Source: equations (8), (13), (20).
 """
 
@@ -28,27 +28,28 @@ from glissando.planning.modes import Modes, find_modes
 from glissando.planning.prediction import PredictedInformation, Rows, look_ahead
 from glissando.planning.sliding_sensor import SlidingSensor, sliding_sensor
 
-_BETWEEN = 4  # places between two arclength nodes at which readings are linearised
-_FEWEST = 6  # of them over the whole reach
-_ROUNDING = 0.1  # of a reading's variance that may be lost to it
-_TOUCH = 1e-9  # m, by which a path may go beyond the reach, for rounding
-_SAME = 1e-9  # of a step, by which time nodes may be closer, for rounding
-_NODES = 100  # time steps of the grid ahead, if the estimate's are finer
+_BETWEEN = 4  # places per arclength interval at which readings are linearised
+_FEWEST = 6  # such places over the whole reach, at least
+_ROUNDING = 0.1  # largest negative variance, in a reading's noise variance, taken for rounding
+_TOUCH = 1e-9  # m, by which a path may leave the reach, for rounding
+_SAME = 1e-9  # share of a step, by which time nodes may be closer, for rounding
+_NODES = 100  # largest number of time steps by default
 
 
 @dataclass(frozen=True)
 class PlanningProblem(ShortRepr):
-    """The time ahead as a planner sees it: the sensor reads once in each step.
+    """Reduced model of the planning horizon, with one reading in each step.
 
     Attributes:
-        ahead: The information of the time ahead at full size.
+        ahead: Information over the horizon at full size, before any reading in it.
         sensor: The sliding sensor.
-        modes: The part of it that the sensor can measure.
+        modes: Modes of the state that the sensor can measure.
         step: Duration of a step, s.
-        steps: Number T of steps; the last time cell may have steps to spare.
-        lattice: Places (L,) of a coil at which readings are linearised, evenly spaced, m.
-        rows: Whitened Jacobians (T, L, r, 2 d) by the modes at both ends of the time cell, each
-            worth as many readings as the sensor takes in a step.
+        steps: Number T of steps; the last time cell may extend beyond them.
+        lattice: Evenly spaced arclengths (L,) of a coil at which readings are linearised, m.
+        rows: Whitened Jacobians (T, L, r, 2 d) by the modes at both ends of the time cell, scaled
+            to the information of all readings that the sensor takes in a step; T is rounded up to
+            whole time cells here.
     """
 
     ahead: PredictedInformation
@@ -71,7 +72,7 @@ class PlanningProblem(ShortRepr):
 
     @property
     def times(self) -> Array:
-        """Middles (T,) of the steps, s."""
+        """Midpoints (T,) of the steps in absolute time, s."""
         return np.asarray(self.start + (np.arange(self.steps) + 0.5) * self.step)
 
     @property
@@ -81,17 +82,17 @@ class PlanningProblem(ShortRepr):
 
     @property
     def reach(self) -> tuple[float, float]:
-        """Arclengths between which the first coil moves, m."""
+        """Lowest and highest arclength of the first coil, m."""
         return float(self.lattice[0] + self.sensor.behind[-1]), float(self.lattice[-1])
 
     def require_path(self, arclength: ArrayLike) -> Array:
-        """Make sure that a path can be evaluated; returns it as an array.
+        """Check that a path can be evaluated, and return it as an array.
 
         Args:
             arclength: Arclengths (T,) of the first coil at `times`, m.
 
         Raises:
-            GlissandoError: They are too few or many, not finite, or beyond the reach.
+            GlissandoError: The arclengths are not T numbers, not finite, or outside the reach.
         """
         try:
             path, (low, high) = np.asarray(arclength, dtype=float), self.reach
@@ -111,16 +112,16 @@ class PlanningProblem(ShortRepr):
 
     @property
     def zone_times(self) -> Array:
-        """Times (K−1,) at which zones count, s: the middles of the time cells."""
+        """Times (K−1,) at which zones are evaluated, s: the midpoints of the time cells."""
         nodes = self.ahead.grid.time
         return np.asarray(0.5 * (nodes[:-1] + np.minimum(nodes[1:], self.end)))
 
     def points(self, arclength: Array, time: Array) -> tuple[Index, Array, Array]:
-        """Poses at points (M,) of the body as functions of the modes.
+        """Jacobians and prior covariances of the poses at points (M,) of the body.
 
         Returns:
-            Time cells (M,), Jacobians (M, 6, 2 d) by the modes, and covariances (M, 6, 6) before
-            any reading.
+            Indices (M,) of time cells, Jacobians (M, 6, 2 d) by the modes at both ends of the cell,
+            and covariances (M, 6, 6) before any reading, in the body frame.
         """
         rows, left = self.ahead.points(arclength, time)
         cov = rows.jacobian @ self.ahead.pairs(rows) @ rows.jacobian.mT + left
@@ -138,10 +139,10 @@ class PlanningProblem(ShortRepr):
 
         Args:
             arclength: Arclengths (T,) of the first coil at `times`, m.
-            prediction: The information before the path; by default that of the time ahead.
+            prediction: Information before the path; by default `ahead`.
 
         Raises:
-            GlissandoError: There is no such path.
+            GlissandoError: The path has another number of steps, or leaves the reach.
         """
         arclength = self.require_path(arclength)
         times = self.sensor.reading_times(self.start, self.steps * self.step)
@@ -160,23 +161,24 @@ def predict_information(
     step: float = 0.1,
     node_step: float | None = None,
 ) -> PlanningProblem:
-    """Predict the information of the time ahead, and of every possible reading.
+    """Predict the prior information over a horizon, and the information of every possible reading.
 
     Args:
-        source: A posterior, running smoother or belief, of which the newest node counts, or a
-            robot, of which the prior does.
-        reach: Arclengths between which the first coil moves, m.
-        horizon: Duration of the time ahead, s.
+        source: A posterior, running smoother or belief, whose newest node is used, or a robot,
+            whose prior is used.
+        reach: Lowest and highest arclength of the first coil, m.
+        horizon: Duration of the planning horizon, s.
         sensor: The sliding sensor; by default the coil of the robot file.
-        motion: How the robot moves; by default it holds its newest shape, or that at rest.
-        start: When the time ahead of a robot begins, s.
+        motion: Expected motion; by default the robot holds its newest shape, or its rest shape.
+        start: Start of the horizon for a robot, s.
         step: Duration of a step of a path, s.
-        node_step: About the time between nodes, s, a step of a path or longer; by default that of
-            the estimate, unless that makes more than 100 nodes.
+        node_step: Approximate time between nodes, s, at least a step of a path; by default that of
+            the estimate, but at most 100 intervals.
 
     Raises:
         GlissandoError: The reach leaves the body, the horizon is too short, `node_step` is shorter
-            than a step or longer than the horizon, or the prior is too wide to plan with.
+            than a step or longer than the horizon, the prior is too wide to plan with, or an
+            estimate comes without `sensor`.
 
     >>> from glissando import load_robot
     >>> predict_information(load_robot("sliding700"), (0.64, 0.7), 5.0).steps
@@ -228,14 +230,14 @@ def _require_reach(
 
 
 def _lattice(nodes: Array, low: float, high: float) -> Array:
-    """Evenly spaced places (L,) of readings on the reach of the coils."""
+    """Evenly spaced arclengths (L,) of readings over the reach of the coils."""
     low, high = max(low, nodes[0]), min(high, nodes[-1])
     places = int(np.ceil(_BETWEEN * (high - low) / np.diff(nodes).min())) + 1
     return np.linspace(low, high, max(_FEWEST, places))
 
 
 def _node_rows(ahead: PredictedInformation, rows: Rows) -> Array:
-    """Rows (M · r, D) of readings at a time node, as functions of that node."""
+    """Jacobian (M · r, D) of readings at a time node with respect to that node."""
     wide = np.zeros((*rows.jacobian.shape[:2], 2 * ahead.size))
     for i, lower in enumerate(rows.lower):
         wide[i][:, ahead.corners(int(lower))] = rows.jacobian[i]
@@ -247,8 +249,8 @@ def _reading_rows(
 ) -> Array:
     """Whitened rows (cells · inside, L, r, 2 d) of one reading in every step at every place.
 
-    Where the robot holds its shape, all time cells share their Jacobians. The noise includes what
-    the modes leave uncertain in the middle of the cell.
+    If the robot holds its shape, all time cells share their Jacobians. The noise includes the
+    uncertainty outside the modes, taken at the middle of the cell.
     """
     starts, cell = ahead.grid.time[:-1], ahead.grid.time[1] - ahead.grid.time[0]
     distinct = starts[:1] if ahead.still else starts
@@ -273,7 +275,11 @@ def _reading_rows(
 def _left(
     ahead: PredictedInformation, modes: Modes, rows: Array, lifted: Array, lower: int
 ) -> Array:
-    """Covariance (cells, M, r, r) of readings that the modes leave uncertain."""
+    """Covariances (cells, M, r, r) of predicted readings given the modes.
+
+    Raises:
+        GlissandoError: The prior is so wide that the covariances are lost to rounding.
+    """
     cells, (_, count, r, q) = len(modes.lift), rows.shape
     corners = Rows(np.arange(cells), np.full(cells, lower), np.empty((cells, 0, q)))
     flat = np.broadcast_to(rows, (cells, count, r, q)).reshape(cells, count * r, q)

@@ -1,8 +1,8 @@
-"""The time ahead at full size: prior and belief on a grid, linearised at the expected motion.
+"""Prediction at full size: prior and belief on a grid, linearised at the expected motion.
 
-All of it is the estimator's own: the prior's factors, a reading's Jacobian with the bridge's noise,
-what is known between the nodes. What is predicted for a path is therefore what the estimator will
-say, were the robot to move as expected.
+Everything is computed by the estimator's own code: the prior's factors, a reading's Jacobian with
+the noise of its bridge, the interpolation between nodes. The covariance predicted for a path is
+therefore the one that the estimator will report, provided the robot moves as expected.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
 @dataclass(frozen=True)
 class Rows:
-    """Linear functions (M, r) of the state, each of the corners of one cell.
+    """M Jacobians of r rows each, with respect to the nodes at the corners of one grid cell.
 
-    `cell` (M,) is the time step and `lower` (M,) the arclength node below; the columns of
-    `jacobian` (M, r, q) are those of `PredictedInformation.corners(lower)`.
+    `cell` (M,) is the index of the time interval and `lower` (M,) that of the arclength node below;
+    the columns of `jacobian` (M, r, q) are those of `PredictedInformation.corners(lower)`.
     """
 
     cell: Index
@@ -42,10 +42,9 @@ class Rows:
 
 @dataclass(frozen=True)
 class PredictedInformation:
-    """What is known of the time ahead: information `system` and its inverse's `marginals`.
+    """Information over the planning horizon: matrix `system`, and `marginals` of its inverse.
 
-    On `grid`, of two time nodes or more, and linearised at `mean`, which is `still` if it is the
-    same at all times.
+    The `grid` has two time nodes or more. All factors are linearised at `mean`.
     """
 
     prior: Prior
@@ -62,11 +61,11 @@ class PredictedInformation:
 
     @property
     def size(self) -> int:
-        """Numbers of a time node: those of its arclength nodes, then the unknowns'."""
+        """Number of variables of a time node: its arclength nodes', then the sensor parameters'."""
         return self.grid.shape[1] * self.mean.dof + self.sensor_parameters.size
 
     def corners(self, lower: int) -> Index:
-        """Columns (q,) of two neighbouring time nodes that cells above `lower` touch."""
+        """Columns (q,) of two neighbouring time nodes for cells above arclength node `lower`."""
         dof, n_count = self.mean.dof, self.grid.shape[1]
         nodes = np.arange(lower, min(lower + 2, n_count))
         own = (nodes[:, None] * dof + np.arange(dof)).ravel()
@@ -74,11 +73,11 @@ class PredictedInformation:
         return np.append(own, own + self.size)
 
     def seen(self, sensor: SlidingSensor, arclength: Array, time: Array) -> Rows:
-        """Whitened rows of readings at places and times (M,), one coil of the sensor each."""
+        """Whitened rows of readings of one coil at arclengths (M,), m, and times (M,), s."""
         return self._rows(self._located(sensor, arclength, time))
 
     def rows_of(self, readings: Readings) -> Rows:
-        """Whitened rows of readings, linearised at the motion that is expected."""
+        """Whitened rows of readings, linearised at the expected motion."""
         return self._rows(locate(self.grid, [readings], self.sensor_parameters.each, keep_all=True))
 
     def _rows(self, located: LocatedReadings) -> Rows:
@@ -95,7 +94,7 @@ class PredictedInformation:
         return rows
 
     def points(self, arclength: Array, time: Array) -> tuple[Rows, Array]:
-        """Rows (M, 6) of poses at points of the grid, and what nodes leave open (M, 6, 6)."""
+        """Rows (M, 6) of poses at points, and their covariances (M, 6, 6) given the nodes."""
         rows, left = self._empty_rows(arclength.size, 6), np.empty((arclength.size, 6, 6))
         for points in sort_points(self.grid, arclength, time):
             at = self.prior.interpolate(self.grid, self.mean, self.mean, points)
@@ -119,9 +118,9 @@ class PredictedInformation:
     def _fill(
         self, rows: Rows, at: Index, nodes: Index, jacobian: Array, extras: Array | None
     ) -> None:
-        """Put Jacobians (M, r, c, dof) of nodes (M, c) where the cells' corners have them.
+        """Write Jacobians (M, r, c, dof) of nodes (M, c) to the columns of the cells' corners.
 
-        Those by the unknowns, `extras`, are empty for a sensor that none of them concerns.
+        Jacobians by the sensor parameters, `extras`, are empty for a sensor without any.
         """
         (k_count, n_count), dof, e = self.grid.shape, self.mean.dof, self.sensor_parameters.size
         slab, inner = np.divmod(nodes, n_count)
@@ -138,7 +137,7 @@ class PredictedInformation:
             rows.jacobian[at[:, None], :, own] = np.swapaxes(extras, -1, -2)
 
     def pairs(self, rows: Rows) -> Array:
-        """Covariance (M, q, q) of the corners that rows touch."""
+        """Covariances (M, q, q) of the cell corners of each row."""
         out = np.empty((rows.cell.size, *2 * rows.jacobian.shape[-1:]))
         cov, cross = self.marginals.cov, self.marginals.cross
         half = out.shape[1] // 2
@@ -153,12 +152,15 @@ class PredictedInformation:
         return out
 
     def cov_pose(self, arclength: Array, time: Array) -> Array:
-        """Covariance (M, 6, 6) of the pose at points, in the body frame."""
+        """Covariances (M, 6, 6) of the pose at arclengths and times (M,), in the body frame."""
         rows, left = self.points(arclength, time)
         return rows.jacobian @ self.pairs(rows) @ np.swapaxes(rows.jacobian, -1, -2) + left
 
     def after(self, sensor: SlidingSensor, arclength: Array, time: Array) -> PredictedInformation:
-        """What will be known after readings at these places and times (M,) of the first coil."""
+        """Add the information of readings of all coils; the first is at `arclength` (M,), m.
+
+        The readings are at times `time` (M,), s.
+        """
         builder = _builder(self.grid, self.mean, self.sensor_parameters)
         place = np.add.outer(-sensor.behind, arclength).ravel()
         located = self._located(sensor, place, np.tile(time, sensor.coils))
@@ -172,7 +174,7 @@ class PredictedInformation:
 
 
 def _square(k: Index, own: Index) -> tuple[Any, ...]:
-    """What picks (M, q, q) of blocks (K, D, D): a stretch, where it is one, is copied faster."""
+    """Index that selects (M, q, q) from blocks (K, D, D); contiguous columns as a faster slice."""
     if own[-1] - own[0] == own.size - 1:
         return k, *2 * (slice(own[0], own[-1] + 1),)
     return np.ix_(k, own, own)
@@ -185,10 +187,10 @@ def look_ahead(
     sensor_parameters: EstimatedParameters,
     belief: Array | None,
 ) -> PredictedInformation:
-    """The time ahead before any reading of it.
+    """Predict the information over a horizon before any reading in it.
 
-    `belief` (D, D) is information of the first time node, from what lies before. Raises
-    UnobservableError when prior and belief leave a direction undetermined.
+    `belief` (D, D) is the information about the first time node from before the horizon, or None.
+    Raises UnobservableError when prior and belief leave a direction undetermined.
     """
     load_kernels(prior)
     system = prior_information(prior, grid, mean, sensor_parameters)
@@ -201,9 +203,9 @@ def look_ahead(
 def prior_information(
     prior: Prior, grid: Grid, mean: State, sensor_parameters: EstimatedParameters
 ) -> BlockTridiagonal:
-    """Information of a prior, and of what is expected of sensor parameters, on a grid.
+    """Information matrix on a grid of a prior and of the processes of sensor parameters.
 
-    If the grid continues another, it is what the continuation adds.
+    If the grid continues an earlier one, only the information added by the continuation counts.
     """
     builder = _builder(grid, mean, sensor_parameters)
     for times in time_blocks(grid):

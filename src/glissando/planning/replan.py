@@ -1,7 +1,7 @@
-"""Receding horizon: while a smoother runs, plan the next part of the path again and again.
+"""Receding-horizon planning: while a smoother runs, replan the next part of the path repeatedly.
 
-A plan takes longer than an update. It is therefore computed from a belief, begins where the path
-that is being followed will be when the plan is ready, and is adopted if it comes in time.
+A plan takes longer than an update. It is therefore computed from a belief, begins where the current
+path will be when the new plan is ready, and is adopted if it is ready in time.
 """
 
 from __future__ import annotations
@@ -30,28 +30,28 @@ from glissando.planning.sliding_sensor import SlidingSensor
 from glissando.planning.zones import Zone
 
 _CANDIDATES, _ITERATIONS = 3, 12  # fewer than for a first plan: the last plan is a good start
-_NOW = 0.1  # of a time step of the estimate, within which a plan begins at once
+_NOW = 0.1  # share of a time step of the estimate, below which a belief is not propagated
 _LONGER, _SPARE = (
     2.0,
     1.5,
-)  # factors of the lead after a late plan: of the old one, of the time taken
+)  # factors of the lead after a late plan: on the old lead, on the time taken
 _ROUNDING = 1e-9  # s
 
 
 @dataclass(frozen=True)
 class Route:
-    """Plans that take over from each other.
+    """A sequence of plans, each replacing the previous one from its start on.
 
     Attributes:
-        home: Arclength at which the sensor is at rest before the first plan, m.
-        plans: The plans in order of their beginnings.
+        home: Arclength at which the sensor rests before the first plan, m.
+        plans: The plans in order of their start times.
     """
 
     home: float
     plans: tuple[Plan, ...] = ()
 
     def at(self, time: ArrayLike) -> tuple[Array, Array]:
-        """Arclength (…), m, and speed (…), m/s, at absolute times, s."""
+        """Arclength (…), m, and speed (…), m/s, at absolute times (…), s."""
         when = np.asarray(time, dtype=float)
         motion = np.full(when.shape, self.home), np.zeros(when.shape)
         for plan in self.plans:
@@ -61,30 +61,30 @@ class Route:
         return motion
 
     def since(self, time: float) -> Route:
-        """The part of the route that counts from an absolute time on, s."""
+        """The part of the route that is needed from an absolute time on, s."""
         over = sum(plan.start <= time for plan in self.plans) - 1
         return replace(self, plans=self.plans[max(0, over) :])
 
 
 @dataclass
 class Replanner:
-    """Plans a sensor's path again after each update: call `next` with the smoother.
+    """Replans a sensor's path after each update of a smoother: call `next` with the smoother.
 
-    Each plan begins `lead` seconds ahead, at the arclength and speed of the path that is followed
-    until then, so limits hold from one plan to the next, and each plan ends at rest on the slide. A
-    plan that comes too late is not adopted; the lead then grows until plans come sooner again.
+    Each plan begins `lead` seconds ahead, with the arclength and speed that the current path has
+    then, so that limits hold across plans, and each plan ends at rest on the slide. A plan that is
+    ready too late is not adopted; the lead is then increased until plans are ready in time again.
 
     Attributes:
         sensor: The sliding sensor.
-        path_space: The paths of its slide: duration, limits, and the place before the first plan.
+        path_space: Paths of the slide: duration, limits, and the arclength before the first plan.
         zones: Zones in absolute time, which may move.
-        objective: The objective over the zones.
+        objective: Objective over the zones.
         speed_weight: Weight of the mean square speed, as `plan_slide` takes it.
-        node_step: About the time between nodes, s, as `predict_information` takes it.
-        motion: How the robot is expected to move; by default it holds its newest shape.
-        lead: How far ahead a plan begins, s: longer than the `planner` takes.
-        planner: Where plans are computed; by default in the caller's own thread.
-        route: The plans that have been adopted.
+        node_step: Approximate time between nodes, s, as `predict_information` takes it.
+        motion: Expected motion of the robot; by default it holds its newest shape.
+        lead: Time ahead at which a plan begins, s; at least the computing time of the `planner`.
+        planner: Computes the plans; by default in the caller's own thread.
+        route: The plans adopted so far.
     """
 
     sensor: SlidingSensor
@@ -112,24 +112,27 @@ class Replanner:
 
     @property
     def plan(self) -> Plan | None:
-        """The newest plan, which may begin later."""
+        """The newest plan, which may begin in the future; None before the first."""
         return self.route.plans[-1] if self.route.plans else None
 
     def at(self, time: ArrayLike) -> tuple[Array, Array]:
-        """Arclength (…), m, and speed (…), m/s, at absolute times, s, past and to come."""
+        """Arclength (…), m, and speed (…), m/s, at absolute times (…), s, past or future."""
         return self.route.at(time)
 
     def next(
         self, source: FixedLagSmoother | Posterior | Belief, now: float | None = None
     ) -> Plan | None:
-        """Adopt a plan that is ready, and have the next computed; returns the newest.
+        """Adopt a plan that is ready, submit the next task, and return the newest plan.
 
-        Without a plan, or without one in time, the last plan remains in force, and a PlanWarning
-        says so once.
+        If planning fails or is late, the last plan is followed on, and a PlanWarning is issued once
+        for each kind of failure.
 
         Args:
             source: The newest estimate.
             now: Time up to which the path has been followed, s; by default that of the estimate.
+
+        Returns:
+            The newest plan adopted; None before the first.
         """
         if now is None:
             newest = source.grid.time[-1] if isinstance(source, Posterior) else source.time
@@ -146,7 +149,7 @@ class Replanner:
         try:
             path_space = replace(self.path_space, start=place, start_speed=speed)
         except GlissandoError:
-            return  # the slide cannot leave its path just there within its limits
+            return  # no admissible path begins at this place and speed; try again at the next call
         task = partial(
             _next_plan, belief, self.route.since(belief.time), start, path_space, self.sensor,
             self.zones, self.objective, self.speed_weight, self.node_step, self.motion,
@@ -188,7 +191,7 @@ def _next_plan(
     zones: Sequence[Zone], objective: Objective, speed_weight: float, node_step: float | None,
     motion: ExpectedMotion | None,
 ) -> Plan:  # fmt: skip
-    """The plan that begins at `start`, s, until when the sensor follows the route."""
+    """Compute the plan that begins at `start`, s; before that the sensor follows the route."""
 
     def place(time: Array) -> Array:
         return route.at(time)[0]

@@ -1,4 +1,4 @@
-"""The sensor that slides: what kind of reading, how noisy, how often, and how many at once."""
+"""The sliding sensor: kind, noise and rate of its readings, number and spacing of its coils."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.readings import SENSORS, Readings
 from glissando.model.sensors.sensors import sensor_class
 
-_FASTEST = 10_000.0  # readings a second
+_FASTEST = 10_000.0  # Hz, largest sampling rate
 
 
 def _sliding_kinds() -> list[str]:
-    """Kinds of sensor that declare their values at a pose."""
+    """Kinds of sensors that implement `values_at`, their values at a pose."""
     return [
         kind
         for kind, sensor in SENSORS.items()
@@ -32,17 +32,17 @@ class SlidingSensor:
 
     Attributes:
         cov: Covariance of a reading, as `Readings` take it.
-        rate: Readings a second of each coil, Hz.
+        rate: Sampling rate of each coil, Hz.
         kind: Kind of the readings, for instance coil, pose or position.
-        coils: Number of coils; the first is at the arclength that the slide's path names.
+        coils: Number C of coils; the arclength of a path is that of the first.
         spacing: Distance from each coil to the next one towards the base, m.
         name: Name of the sensor's stream, by which sensor parameters refer to it.
         mount: Pose (4, 4) of a coil in the body frame.
         arclength_std: Standard deviation of the arclength of a reading, m.
-        settings: The fields that such a sensor declares as its settings.
+        settings: Fields that the class of readings declares as its settings.
 
     Raises:
-        GlissandoError: The kind, rate, number or spacing cannot be, or a setting is missing.
+        GlissandoError: Kind, rate, number or spacing are invalid, or a setting is missing.
     """
 
     cov: Array
@@ -81,7 +81,7 @@ class SlidingSensor:
 
     @property
     def behind(self) -> Array:
-        """How far each coil (C,) is behind the first, towards the base, m."""
+        """Distances (C,) of the coils from the first one, towards the base, m."""
         return np.asarray(self.spacing * np.arange(self.coils))
 
     def reading_times(self, start: float, duration: float) -> Array:
@@ -90,7 +90,7 @@ class SlidingSensor:
         return np.asarray(start + (np.arange(count) + 0.5) * (duration / count))
 
     def readings(self, T_wb: Array, arclength: Array, time: Array) -> Readings:
-        """Readings (M,) that agree exactly with poses (M, 4, 4) of the body."""
+        """Noise-free readings (M,) at poses (M, 4, 4) of the body, arclengths and times (M,)."""
         sensor = sensor_class(self.kind)
         return sensor(
             time=time, arclength=arclength,
@@ -100,15 +100,15 @@ class SlidingSensor:
 
 
 def sliding_sensor(robot: Robot, kind: str = "coil", **options: Any) -> SlidingSensor:
-    """A sliding sensor with the noise that a robot file states.
+    """Create a sliding sensor with the noise stated in the robot file.
 
     Args:
         robot: The robot.
-        kind: Kind of its readings.
+        kind: Kind of the sensor's readings.
         **options: Further attributes of `SlidingSensor`.
 
     Raises:
-        RobotFileError: The robot file has no such sensor.
+        RobotFileError: The robot file states no noise of this kind of sensor.
 
     >>> from glissando import load_robot
     >>> sliding_sensor(load_robot("sliding700"), rate=20.0).rate

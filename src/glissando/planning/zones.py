@@ -1,4 +1,4 @@
-"""Zones: where along the body and when confidence is wanted, fixed or moving, with a weight."""
+"""Zones: arclength and time intervals of the body whose position should be known accurately."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from glissando.estimation.given import require_list
 from glissando.geometry.se3 import Array
 from glissando.model.field_checks import is_number
 
-_POINTS = 5  # points of a zone across its arclengths
+_POINTS = 5  # points along the arclengths of a zone
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _TEXT = re.compile(
     rf"({_NUMBER}):({_NUMBER})(?:\.\.({_NUMBER}):({_NUMBER}))?"
@@ -25,12 +25,12 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True)
 class MovingInterval:
-    """An interval of arclength that moves evenly from one place to another.
+    """An interval of arclength that moves at constant speed from one place to another.
 
     Attributes:
-        time: When the interval moves, s.
-        first: Both ends before that, m.
-        last: Both ends after that, m.
+        time: Start and end of the movement, s.
+        first: Lower and upper end of the interval before the movement, m.
+        last: Lower and upper end after the movement, m.
 
     >>> MovingInterval((0.0, 10.0), (0.1, 0.2), (0.5, 0.6))(np.array([5.0]))
     (array([0.3]), array([0.4]))
@@ -47,20 +47,20 @@ class MovingInterval:
             raise GlissandoError(f"A zone cannot move within {self.time!r} s; give T0 < T1.")
 
     def __call__(self, time: Array) -> tuple[Array, Array]:
-        """Lower and upper end (K,) at times (K,)."""
+        """Lower and upper ends (K,), m, at times (K,), s."""
         low, high = (np.interp(time, self.time, e) for e in zip(self.first, self.last, strict=True))
         return low, high
 
 
 @dataclass(frozen=True)
 class Zone:
-    """An interval of the body whose position should be known well for some time.
+    """An interval of the body whose position should be known accurately for some time.
 
     Attributes:
-        arclength: Both ends, m, or for a zone that moves a function of times (K,) that returns
-            both ends (K,), for instance `MovingInterval`.
-        time: From when until when the zone counts, s; None for always.
-        weight: Its share beside other zones.
+        arclength: Lower and upper end, m; for a moving zone a function of times (K,), s, that
+            returns both ends (K,), for instance `MovingInterval`.
+        time: Start and end of the time in which the zone counts, s; None for always.
+        weight: Weight relative to other zones.
 
     Raises:
         GlissandoError: An interval is empty or the weight is not positive.
@@ -82,20 +82,20 @@ class Zone:
             raise GlissandoError(f"A zone of weight {self.weight!r} cannot be; give one above 0.")
 
     def ends(self, time: Array) -> tuple[Array, Array]:
-        """Both ends (K,), m, at times (K,), also at times when the zone does not count."""
+        """Lower and upper ends (K,), m, at times (K,), s, including times outside `time`."""
         ends = self.arclength(time) if callable(self.arclength) else self.arclength
         low, high = (np.broadcast_to(np.asarray(end, dtype=float), time.shape) for end in ends)
         return low, high
 
     def overlap(self, first: float, last: float) -> Interval | None:
-        """The part of the zone's time between two times, s; None if there is none."""
+        """Intersection of the zone's time with the interval [first, last], s; None if empty."""
         if self.time is None:
             return first, last
         begin, end = max(self.time[0], first), min(self.time[1], last)
         return (begin, end) if begin <= end else None
 
     def points(self, time: Array) -> tuple[Array, Array]:
-        """Arclengths and times (M,) of points spread over the zone at times (K,)."""
+        """Arclengths, m, and times, s, (M,) of points spread over the zone at times (K,)."""
         low, high = self.ends(time)
         count = _POINTS if np.any(high > low) else 1
         share = (np.arange(count) + 0.5) / count
@@ -103,7 +103,7 @@ class Zone:
 
 
 def _require_interval(given: object) -> None:
-    """Raise GlissandoError unless these are both ends of an interval, the lower one first."""
+    """Raise GlissandoError unless `given` is the lower and upper end of an interval."""
     try:
         low, high = (float(end) for end in given)  # type: ignore[attr-defined]
     except (TypeError, ValueError):
@@ -118,19 +118,19 @@ def _require_interval(given: object) -> None:
 def zone_points(
     zones: Sequence[Zone], time: Array, span: Interval, length: float
 ) -> tuple[Array, Array, Array]:
-    """Points that represent all zones; a zone's weight is shared by its points.
+    """Points that represent all zones; a zone's weight is divided evenly among its points.
 
     Args:
         zones: One zone or more.
-        time: Times (K,) at which zones count, s.
-        span: Beginning and end of the time ahead, s.
+        time: Times (K,) at which zones are evaluated, s.
+        span: Start and end of the planning horizon, s.
         length: Length of the body, m.
 
     Returns:
-        Arclengths, times and weights (M,) of the points; the weights add up to one.
+        Arclengths, m, times, s, and weights (M,) of the points; the weights add up to one.
 
     Raises:
-        GlissandoError: There is no zone, or one leaves the body or the time ahead.
+        GlissandoError: There is no zone, or a zone leaves the body or the horizon.
     """
     require_list(zones, Zone, "zones")
     if not zones:
@@ -161,10 +161,10 @@ def zone_points(
 
 
 def read_zone(text: str) -> Zone:
-    """Parse a zone: S0:S1, S0:S1@T0:T1 or S0:S1..S2:S3@T0:T1, *W if weighted.
+    """Parse a zone: S0:S1, S0:S1@T0:T1 or S0:S1..S2:S3@T0:T1, with *W for a weight.
 
     Raises:
-        GlissandoError: The text has another form, or the zone cannot be.
+        GlissandoError: The text has another form, or the zone is invalid.
 
     >>> np.mean(read_zone("0.1:0.2..0.5:0.6@0:10").ends(np.array([5.0])), axis=0)
     array([0.35])
@@ -186,5 +186,5 @@ def read_zone(text: str) -> Zone:
         return zone
     if time is None or time[1] <= time[0]:
         raise GlissandoError(f"Zone {text!r} moves, so it needs times: add @T0:T1.")
-    Zone(last)  # whose ends are in order
+    Zone(last)  # checks the order of the ends
     return replace(zone, arclength=MovingInterval(time, first, last))
