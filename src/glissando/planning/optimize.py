@@ -50,7 +50,7 @@ def descend(
     Returns:
         The best point (n,), strictly inside, and its value.
     """
-    sparse = csr_array(polytope[0]), *polytope[1:]  # of a path at most three numbers a row
+    sparse = csr_array(polytope[0]), *polytope[1:]  # at most three non-zeros a row for a path
     x, (value, gradient) = start, function(start)
     scale = max(abs(value), 1e-300)
     curvature = np.zeros((x.size, x.size))

@@ -1,6 +1,6 @@
-"""Motions among obstacles: a tendon robot and its sliding sensors planned as one, at a stated risk.
+"""Motions among obstacles: joint plans of a tendon robot and its sliding sensors at a stated risk.
 
-What tendons do is not known exactly: displacements differ from the commands and the model lacks
-moments. Readings of sliding sensors tell of it, the more the better they are placed, so where the
-robot may pass depends on where its sensors are, and both are chosen together.
+The response to tendons is uncertain: displacements differ from the commands, and the model lacks
+bending moments. Readings of sliding sensors reduce this uncertainty, depending on their places.
+Where the robot may pass thus depends on where its sensors are, so both are planned jointly.
 """

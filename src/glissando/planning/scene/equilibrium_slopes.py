@@ -1,4 +1,4 @@
-"""From slopes by a tendon robot's strains, and by how these move, to slopes by the commands.
+"""Gradients by a tendon robot's strains and their sensitivities, pulled back to the commands.
 
 Source: (M5) to (M7) of docs/tendons.md; the second derivative of the equilibrium's energy.
 """
@@ -15,23 +15,23 @@ from glissando.model.tendons.tendon_rod import TendonRod
 def back_to_displacement(
     balance: Equilibrium, own: tuple[Array, Array, Array], by_strain: Array, by_slope: Array
 ) -> Array:
-    """Slopes (G, K, T) by displacements, of slopes by strain and by what model errors make of it.
+    """Gradients (G, K, T) by displacements, from gradients by strain and by S = ∂strain/∂ξ.
 
-    With E the energy and A the inverse of its Hessian, dS = −A (dH S + dC); so that with
-    Y = A ∂φ/∂S the value changes by −Y : dH S − Y : dC, in terms of each tendon's tension τ,
-    stiffness k, its slope k′, and the length |t| of its tangent.
+    With the energy's Hessian H, A = H⁻¹ and S = −A C, dS = −A (dH S + dC). With Y = A ∂φ/∂S, a
+    value φ thus changes by −Y : dH S − Y : dC, expressed by each tendon's tension τ, stiffness k,
+    its derivative k′, and the length |t| of its tangent.
 
     Args:
-        balance: The equilibria.
+        balance: K equilibria.
         own: ∂strain/∂displacement (K, P, 6, T); ∂strain/∂ξ (K, P, 6, q), tendons first; and
-            the standard deviations (T,) of displacements, m, by which ξ counts them.
-        by_strain: Slopes (G, K, P, 6) by strain.
-        by_slope: Slopes (G, K, P, 6, q) by ∂strain/∂ξ.
+            the standard deviations (T,) of displacements, m, to which ξ is scaled.
+        by_strain: Gradients (G, K, P, 6) of G values by strain.
+        by_slope: Gradients (G, K, P, 6, q) by ∂strain/∂ξ.
     """
     (by_displacement, by_error, std), rod = own, balance.rod
     length, count = rod.length, len(rod.tendons)
     back = balance.strain_by(by_slope / length[:, None, None], balance.slope)
-    reach = length[:, None] * balance.reach  # of z = stretch by strain
+    reach = length[:, None] * balance.reach  # ∂stretch/∂strain
     along, along_back = (np.einsum("ktpi,...kpiq->...ktq", reach, x) for x in (by_error, back))
     arm, (_, unit, speed, inside) = rod.levers, rod.reaches(balance.strain)
     bend, bend_back = (arm @ x[..., None, :, :, :] for x in (by_error, back))
@@ -45,7 +45,7 @@ def back_to_displacement(
     by_stretch = k * curved + slope * np.sum(along * along_back, axis=-1)
     picked = np.arange(count)
     by_stretch += std * slope * along_back[..., picked, picked]
-    # ∂/∂t of |t|: through reach in `along` and through what is across t
+    # ∂|t|/∂t, through reach in `along` and through the components across t
     lever = flat[0] @ along_back[..., None, :, None] + flat[1] @ along[..., None, :, None]
     own_pull = np.moveaxis(flat[1][..., picked, :, :, picked], 0, -3)
     lever = lever[..., 0] + std[:, None, None] * own_pull
@@ -61,6 +61,6 @@ def back_to_displacement(
 
 
 def _stiffening(rod: TendonRod, k: Array) -> Array:
-    """Slope (K, T) of a tendon's stiffness (K, T) by its stretch, of the softened ramp."""
+    """Derivative (K, T) of the tendons' stiffness (K, T) by stretch, for the softened ramp."""
     share = k / rod.tendons.stiffness
     return k * (1.0 - share) / rod.tendons.softness

@@ -1,13 +1,13 @@
-"""What is known of a robot's model error over time: the filter's covariance, and its slopes.
+"""Belief about a robot's model error over time: covariance of a Kalman filter, and gradients.
 
 A model error is a stationary Gauss–Markov process of unit variance, ξ_k+1 = a ξ_k + noise with
-a = exp(−step / time scale); what is unknown of the sensors, whose numbers follow those of ξ, are
-such processes or constants. Readings tell of it as they come; the covariance depends on where
-sensors are and how the robot is bent, not on what they read. Commands of a moment know what was
-read before it, and correct for it as far as tendons can: where the base stands elsewhere they
-cannot. With L for what they leave of an error that is known, the body is off by the error of what
-is known and by L times what is known, d = e + L ξ̂, of covariance P + L (P₀ − P) Lᵀ with P₀ of what
-is known without readings. Source: Kalman 1960; backwards, of P⁺ = F P with F = I − K H,
+a = exp(−step / time scale). Sensor errors, whose components follow those of ξ, are such processes
+or constants. The covariance depends on where sensors are and how the robot is bent, not on the
+values they read. A command uses all earlier readings, and corrects the estimated error as far as
+tendons can; they cannot correct an error of the base. With L for the part of an estimated error
+that remains after the correction, the body deviates as by the model error d = e + L ξ̂, e being the
+estimation error. Its covariance is P + L (P₀ − P) Lᵀ, with P₀ the covariance without readings.
+Source: Kalman 1960; backward pass of P⁺ = F P with F = I − K H,
 dP⁺ = F dP Fᵀ − P⁺ (dHᵀ H + Hᵀ dH) P⁺.
 """
 
@@ -21,12 +21,12 @@ import numpy as np
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 
-_FADED = 100.0  # time scales after which nothing is left
+_FADED = 100.0  # time scales after which an error is forgotten
 
 
 @dataclass(frozen=True)
 class ErrorBelief:
-    """The belief about a model error and the sensors' errors: mean (n,) and covariance (n, n)."""
+    """Belief about model error and sensor errors: mean (n,) and covariance (n, n)."""
 
     mean: Array
     cov: Array
@@ -37,12 +37,12 @@ class ErrorBelief:
         return ErrorBelief(np.zeros(size), np.eye(size))
 
     def after(self, time: float, time_scale: Array) -> ErrorBelief:
-        """The belief after a time in seconds without readings; time scales (n,) are of each."""
+        """Predict the belief after `time` s without readings; time scales (n,) of each error, s."""
         fade = np.exp(-time / time_scale)
         return ErrorBelief(fade * self.mean, _faded(self.cov, fade))
 
     def updated(self, rows: Array, residual: Array) -> ErrorBelief:
-        """The belief after whitened readings with rows (r, q) and residuals (r,)."""
+        """Belief after an update with whitened readings: rows (r, n) and innovations (r,)."""
         gain = _gain(self.cov, rows)
         free = np.eye(self.mean.size) - gain @ rows
         cov = free @ self.cov @ free.T + gain @ gain.T
@@ -50,12 +50,12 @@ class ErrorBelief:
 
 
 def _faded(cov: Array, fade: Array) -> Array:
-    """Covariance (n, n) a time later, of numbers of which so much (n,) is left then."""
+    """Predicted covariance (n, n) of unit-variance processes with decay factors `fade` (n,)."""
     return np.outer(fade, fade) * cov + np.diag(1.0 - fade**2)
 
 
 def _gain(cov: Array, rows: Array) -> Array:
-    """Kalman's gain (q, r) for whitened rows (r, q)."""
+    """Kalman gain (n, r) for whitened rows (r, n)."""
     seen = rows @ cov
     return np.asarray(np.linalg.solve(np.eye(len(rows)) + seen @ rows.T, seen).T)
 
@@ -65,13 +65,14 @@ class PredictedCovariance:
     """Covariances of n errors at K corrections, before and after the readings of each.
 
     Attributes:
-        before: What commands of a correction know (K, n, n), first of the model error's q numbers.
-        after: With the readings of the correction (K, n, n).
-        free: I − K H of each correction (K, n, n).
-        rows: Whitened rows of the readings (K, r, n).
-        fade: What is left of each error (n,) from one correction to the next.
-        unread: What would be known without any reading (K, n, n).
-        left: What corrections leave of a model error that is known (q, q).
+        before: Covariances (K, n, n) when the commands of a correction are computed; the first q
+            components are the model error.
+        after: Covariances (K, n, n) given the readings of the correction too.
+        free: I − (Kalman gain) H of each correction (K, n, n).
+        rows: Whitened rows H of the readings (K, r, n).
+        fade: Decay factor (n,) of each error from one correction to the next.
+        unread: Covariances (K, n, n) without any reading.
+        left: Matrix L (q, q), the part of an estimated model error that corrections leave.
     """
 
     before: Array
@@ -83,34 +84,34 @@ class PredictedCovariance:
     left: Array
 
     def own(self, cov: Array) -> Array:
-        """The part (…, q, q) of the model error of covariances (…, n, n)."""
+        """Block (…, q, q) of the model error in covariances (…, n, n)."""
         return cov[..., : len(self.left), : len(self.left)]
 
     def _padded(self, slope: Array) -> Array:
-        """Slopes (…, n, n) by covariances, of those (…, q, q) by the part of the model error."""
+        """Gradients (…, q, q) by the model error's block, padded to (…, n, n)."""
         more = (0, len(self.fade) - len(self.left))
         return np.pad(slope, [*[(0, 0)] * (slope.ndim - 2), more, more])
 
     @cached_property
     def off(self) -> Array:
-        """Covariance (K, q, q) of what the body is off by, as an error."""
+        """Covariances (K, q, q) of the deviation d of the body, as a model error."""
         known = self.own(self.unread - self.before)
         return self.own(self.before) + self.left @ known @ self.left.T
 
     @cached_property
     def lagged(self) -> Array:
-        """Covariance (K−1, q, q) of that with what it is off by a correction later, symmetric."""
+        """Symmetrised covariances (K−1, q, q) of d at one correction and at the next."""
         learned = self.own(self.before - self.after) @ self.left.T
         known = self.left @ self.own(self.unread - self.before) @ self.left.T
         out = self.own(self.after) + 0.5 * (learned + learned.mT) + known
         return np.asarray(self.fade[0] * out[:-1])
 
     def bridge(self, early: Array, late: Array) -> Array:
-        """Covariances of the bridge of an error of unit variance between two corrections.
+        """Covariances of a unit-variance error between two corrections, given its values at both.
 
         Args:
-            early: Parts of the way from one to the other.
-            late: Parts that are no less.
+            early: Earlier times, as shares of the interval between the corrections.
+            late: Later or equal times, as shares of the interval.
         """
         whole = min(-np.log(max(self.fade[0], 1e-100)), _FADED)
         if not whole > 0.0:
@@ -119,12 +120,12 @@ class PredictedCovariance:
         return np.asarray(out)
 
     def back(self, by_off: Array, by_lagged: Array, by_before: Array) -> Array:
-        """Slope (K, r, n) by the rows, of a value with slopes by `off`, `lagged` and `before`.
+        """Gradient (K, r, n) by the rows, of a value with given gradients by the covariances.
 
         Args:
-            by_off: Slope (K, q, q).
-            by_lagged: Slope (K−1, q, q).
-            by_before: Slope (K, q, q), by its part of the model error.
+            by_off: Gradient (K, q, q) by `off`.
+            by_lagged: Gradient (K−1, q, q) by `lagged`.
+            by_before: Gradient (K, q, q) by the model error's block of `before`.
         """
         out, left = np.empty_like(self.rows), self.left
         lagged = 0.5 * self.fade[0] * (by_lagged + by_lagged.mT)
@@ -143,13 +144,13 @@ class PredictedCovariance:
 
 
 def predict_covariance(cov: Array, rows: Array, fade: Array, left: Array) -> PredictedCovariance:
-    """Covariances of errors over K corrections.
+    """Predict covariances of errors over K corrections.
 
     Args:
-        cov: Covariance (n, n) before the readings of the first.
-        rows: Whitened rows (K, r, n) of the readings of each.
-        fade: What is left of each error (n,) from one correction to the next.
-        left: What corrections leave of a model error that is known (q, q).
+        cov: Covariance (n, n) before the readings of the first correction.
+        rows: Whitened rows (K, r, n) of the readings of each correction.
+        fade: Decay factor (n,) of each error from one correction to the next.
+        left: Matrix L (q, q), the part of an estimated model error that corrections leave.
     """
     shape = (len(rows), *cov.shape)
     before, after, free, unread = (np.empty(shape) for _ in range(4))
@@ -166,15 +167,15 @@ def predict_covariance(cov: Array, rows: Array, fade: Array, left: Array) -> Pre
 
 @dataclass(frozen=True)
 class KnownError:
-    """Covariances of what a body is off by, as a model error, at M moments.
+    """Covariances at M times (moments) of the deviation of a body, as a model error.
 
-    From one correction of the commands to the next the actuators go evenly, and what is left of the
-    error too, (1 − w) e_k + w e_k+1, but for the bridge between both: a stationary error wanders
-    there by itself. That it counts in full errs a little on the careful side.
+    Between two corrections the commands, and with them the deviation, are interpolated linearly,
+    (1 − w) d_k + w d_k+1. The variance of the error's bridge between both is added in full, which
+    overestimates the deviation slightly.
 
     Attributes:
-        corrections: The covariances at the corrections.
-        position: The moments (M,) in numbers of corrections; all of these are among them.
+        corrections: Covariances at the corrections.
+        position: The moments (M,) in units of correction intervals, including all corrections.
     """
 
     corrections: PredictedCovariance
@@ -182,21 +183,22 @@ class KnownError:
 
     @cached_property
     def off(self) -> Array:
-        """Covariances (M, q, q) at the moments."""
+        """Covariances (M, q, q) of the deviation at the moments."""
         at, share = self.shares
         weights = (1.0 - share) ** 2, share**2, 2.0 * share * (1.0 - share)
         return self._mixed(at, *weights, self.corrections.bridge(share, share))
 
     @cached_property
     def lagged(self) -> Array:
-        """Covariances (M−1, q, q) with the error a moment later."""
+        """Covariances (M−1, q, q) of the deviations at one moment and at the next."""
         at, early, late = self._pairs
         return self._mixed(at, *self._lagged_weights, self.corrections.bridge(early, late))
 
     def back(self, by_off: Array, by_lagged: Array, by_before: Array) -> Array:
-        """Slope (K, r, n) by the rows, of a value with slopes by `off` and `lagged`.
+        """Gradient (K, r, n) by the rows, of a value with given gradients.
 
-        And with slopes by what is not known before each correction, (K, q, q).
+        These are by `off` (M, q, q), by `lagged` (M−1, q, q), and by the model error's covariance
+        before each correction (K, q, q).
         """
         at, share = self.shares
         first = (1.0 - share) ** 2, share**2, 2.0 * share * (1.0 - share)
@@ -211,25 +213,28 @@ class KnownError:
 
     @cached_property
     def shares(self) -> tuple[Index, Array]:
-        """The correction before each moment (M,), the last but one at most, and how far from it."""
+        """Index (M,) of the correction before each moment, and share (M,) of its interval passed.
+
+        The last moment belongs to the last interval.
+        """
         at = np.minimum(self.position.astype(np.intp), len(self.corrections.before) - 2)
         return at, self.position - at
 
     @property
     def _lagged_weights(self) -> tuple[Array, Array, Array]:
-        """Weights (M−1,) of both corrections' covariances and of that between them."""
+        """Weights (M−1,) of the covariances of both corrections, and of the one between them."""
         _, early, late = self._pairs
         both = (1.0 - early) * late + early * (1.0 - late)
         return (1.0 - early) * (1.0 - late), early * late, both
 
     @property
     def _pairs(self) -> tuple[Index, Array, Array]:
-        """The correction before each moment and the next (M−1,), and how far from it both are."""
+        """Correction (M−1,) before each moment; shares of its interval at this and the next one."""
         at, share = self.shares
         return at[:-1], share[:-1], self.position[1:] - at[:-1]
 
     def _mixed(self, at: Index, early: Array, late: Array, both: Array, bridge: Array) -> Array:
-        """Weighted sums of the covariances about each correction, and what the bridge adds."""
+        """Weighted sums of the covariances at neighbouring corrections, plus the bridge's."""
         known = self.corrections
         out: Array = early[:, None, None] * known.off[at]
         out += late[:, None, None] * known.off[at + 1]

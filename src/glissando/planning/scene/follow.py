@@ -1,4 +1,4 @@
-"""A plan followed in a loop: commands correct for the model error that readings show."""
+"""Execution of a plan in a control loop: commands corrected by the estimated model error."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from glissando.planning.scene.motion_problem import MotionProblem
 from glissando.planning.scene.plan_motion import MotionPlan
 from glissando.planning.scene.tendon_body import BodyShapes
 
-_STEPS = 4  # of Gauss and Newton towards the planned bends
-_EASE = 1e-3  # of the largest curvature by displacement, below which tendons are left alone
-_ABSURD = 10.0  # standard deviations a number beyond which a reading is none of this robot
-_LONGEST = 10.0  # s without a command, or as long as the plan, after which a clock is to blame
-_ROOM = 1e-9  # m that a tendon is always given to move
+_STEPS = 4  # Gauss–Newton steps towards the planned bends
+_EASE = 1e-3  # regularisation over the largest singular value of the bends' Jacobian
+_ABSURD = 10.0  # gate: RMS innovation, in standard deviations, of a reading that is rejected
+_LONGEST = 10.0  # s, or the plan's duration if longer: larger time steps are refused as errors
+_ROOM = 1e-9  # m, least width of the bounds of a displacement
 
 
 @dataclass
 class MotionFollower:
-    """Commands for a control loop that follows a plan, corrected by what sensors read.
+    """Commands for a control loop that follows a plan, corrected by sensor readings.
 
-    Commands bend every piece as the plan does, given what is known of the model error by then. The
-    plan ends at rest, and commands never leave the actuators' limits of stroke and speed, so a loop
-    that stops giving readings still ends safely. A correction that would is made as far as it may.
+    Commands bend every piece as planned, given the current estimate of the model error. The plan
+    ends at rest, and commands never exceed the actuators' limits of stroke and speed, so a loop
+    whose readings stop still ends safely. Corrections are truncated at these limits.
 
     Attributes:
         plan: The plan.
-        begins_with: What is known of the model error at first; what the plan has unless given.
-        time: Time of the newest reading, s from the plan's start.
-        due: Time that the newest command is for, s from the plan's start.
-        belief: What is known of the model error, at the time of the newest reading.
-        dropped: How many readings were not used.
+        begins_with: Initial belief about the model error; by default that of the plan.
+        time: Time of the belief, s from the plan's start.
+        due: Time for which the newest command is meant, s from the plan's start.
+        belief: Belief about model error and sensor errors at `time`.
+        dropped: Number of readings that were not used.
     """
 
     plan: MotionPlan
@@ -50,7 +50,7 @@ class MotionFollower:
     belief: ErrorBelief = field(init=False)
     dropped: int = field(default=0, init=False)
     _begun: float = field(default=-1.0, init=False)
-    _corrections: Array = field(init=False)  # (2, T) of the commands before and now, m
+    _corrections: Array = field(init=False)  # (2, T) of the previous and the newest command, m
 
     def __post_init__(self, begins_with: ErrorBelief | None) -> None:
         self.belief = begins_with or self.plan.problem.belief
@@ -62,16 +62,16 @@ class MotionFollower:
         return self.plan.problem
 
     def planned(self, time: ArrayLike) -> Array:
-        """Values (…, C) of all actuators that the plan has at times, m; at rest after its end."""
+        """Planned values (…, C) of all actuators at times (…), s, in m; at rest after the end."""
         moment = np.clip(np.asarray(time, dtype=float), 0.0, self.problem.scene.horizon)
         basis = self.problem.space.basis_at(moment.ravel())
         values = basis @ self.plan.evaluation.control.T
         return np.asarray(values.reshape(*moment.shape, -1))
 
     def at(self, time: ArrayLike) -> Array:
-        """Values (…, C) of all actuators at times up to the newest command's, m.
+        """Commanded values (…, C) of all actuators, m, at times (…), s, up to the newest command.
 
-        They are the plan's, with a correction that goes evenly from one command to the next.
+        They are the planned ones plus a correction that is linear between two commands.
         """
         when, values = np.asarray(time, dtype=float), self.planned(time)
         share = np.clip((when - self._begun) / max(self.due - self._begun, 1e-9), 0.0, 1.0)
@@ -82,10 +82,10 @@ class MotionFollower:
         return values
 
     def advance(self, time: float) -> None:
-        """Let time pass, s from the plan's start, without readings; it never goes back.
+        """Predict the belief to a time, s from the plan's start; earlier times change nothing.
 
         Raises:
-            GlissandoError: The time is none of the plan's.
+            GlissandoError: The time differs from the last by more than the plan's duration.
         """
         self._require_time(time)
         if time <= self.time:
@@ -94,15 +94,16 @@ class MotionFollower:
         self.time = time
 
     def add(self, readings: Readings) -> None:
-        """Take readings of a coil at times of the plan, m and s, as the sensor gave them.
+        """Update the belief with raw readings of one sensor; times in s from the plan's start.
 
-        Its sensor parameters are applied, known ones too. Of several coils the name says which.
+        Sensor parameters are applied, including known ones. With several sensors, the readings'
+        name identifies the sensor.
 
-        Those off the robot, and those that no such robot can give, are counted in `dropped`. The
-        limit is wide: a robot is never quite its model, and has to be seen all the same.
+        Readings at arclengths off the robot and outliers are rejected and counted in `dropped`. The
+        gate is wide, since a robot always deviates from its model.
 
-        Source: the extended Kalman filter; a batch is linearised where the robot is expected, and
-        its readings count as of the newest time.
+        Source: the extended Kalman filter; a batch is linearised at the expected shapes, and its
+        readings are all assigned to the belief's `time`.
         """
         on = (readings.arclength >= 0.0) & (readings.arclength <= self.problem.body.arclength[-1])
         self.dropped += int(np.sum(~on))
@@ -138,13 +139,13 @@ class MotionFollower:
             self.belief = self.belief.updated(rows, residual)
 
     def command(self, time: float) -> Array:
-        """Values (C,) that all actuators should have come to by a time, s from the start, m.
+        """Command: values (C,) that all actuators should reach at a time, s from the start, in m.
 
-        Where the planned bends have no shape any more, the correction stays as it is. Tendons go no
-        faster than they may; where one would, others make the correction if they can.
+        If no equilibrium with the planned bends is found, the last correction is kept. Tendons keep
+        their speed limits; if one would exceed its limit, others make the correction if they can.
 
         Raises:
-            GlissandoError: The time is none of the plan's.
+            GlissandoError: The time differs from the last by more than the plan's duration.
         """
         self._require_time(time)
         values, count = self.planned(time), self._corrections.shape[1]
@@ -167,9 +168,9 @@ class MotionFollower:
         return self.at(time)
 
     def _require_time(self, time: float) -> None:
-        """Refuse a step in time that is longer than the plan, as that of another unit would be."""
+        """Raise GlissandoError for a time step longer than the plan, probably in another unit."""
         lasts = max(self.problem.scene.horizon, _LONGEST)
-        ended = self.due >= self.problem.scene.horizon and 0.0 <= time < np.inf  # it rests there
+        ended = self.due >= self.problem.scene.horizon and 0.0 <= time < np.inf  # at rest
         if not (ended or abs(time - max(self.time, self.due)) <= lasts):
             raise GlissandoError(
                 f"The time goes from {self.due:g} to {time:g} s within a plan of "
@@ -179,8 +180,7 @@ class MotionFollower:
     def _changes(self, begin: float, end: float) -> Array:
         """Least and largest changes (2, T) of the corrections between two times, m.
 
-        They are what the limits of speed leave beside the plan's own speeds, which go evenly from
-        one knot of its splines to the next.
+        The speed limits less the planned speeds, which are linear between the knots of the splines.
         """
         path, tendons = self.problem.space.paths[0], self.problem.scene.tendons
         knots = path.step * np.arange(path.steps + 1)
@@ -201,10 +201,10 @@ class MotionFollower:
     def _bent_as(
         self, wished: BodyShapes, pulled: Array, error: Array, limits: tuple[Array, Array]
     ) -> Array:
-        """Displacements (T,) within limits that bend all pieces as wished, nearest to given ones.
+        """Displacements (T,) within limits that bend all pieces as wished, nearest to `pulled`.
 
         Source: Gauss–Newton steps, each a least-squares problem with bounds (Stark and Parker,
-        1995) in which going away from the given displacements costs a little.
+        1995), with a small penalty on the distance from the given displacements.
         """
         low, high = limits[0], np.maximum(limits[1], limits[0] + _ROOM)
         goal, at = wished.balance.strain[0, :, 3:5].ravel(), np.clip(pulled, low, high)

@@ -1,4 +1,4 @@
-"""Meshes as obstacles: distances on a lattice, from closed surfaces of triangles in files."""
+"""Meshes as obstacles: signed distance fields on a lattice, from closed surfaces in files."""
 
 from __future__ import annotations
 
@@ -18,27 +18,28 @@ from glissando.model.grid import Index
 from glissando.planning.scene.obstacles import Distances, Surface
 
 _KINDS = "stl", "obj", "ply"
-_LARGEST, _TRIANGLES = 1 << 26, 200_000  # bytes and triangles of a mesh
-_CELLS, _THIN = 24, 6  # of a mesh's lattice along its longest side, and its thinnest
-_POINTS = 100_000  # of the lattice at most, more or less
-_MARGIN = 0.35  # of the longest side, by which the lattice goes beyond the mesh
-_AT_ONCE = 2000  # points whose distances from a mesh are found together
+_LARGEST, _TRIANGLES = 1 << 26, 200_000  # bytes and triangles of a mesh, at most
+_CELLS, _THIN = 24, 6  # lattice cells along the longest side of a mesh, and the thinnest
+_POINTS = 100_000  # lattice points at most, approximately
+_MARGIN = 0.35  # share of the longest side by which the lattice extends beyond the mesh
+_AT_ONCE = 2000  # points per batch of distance queries
 _CHECKED = 1000  # points near the surface where the splines are compared with the triangles
-_SAFELY = 1.1  # of the largest distance found too large there, taken off all
+_SAFELY = 1.1  # safety factor on the largest overestimate there, which is subtracted everywhere
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """A closed surface of triangles, by cubic splines through its distances on a lattice.
+    """A closed surface of triangles, as cubic splines of its signed distances on a lattice.
 
-    `read_mesh` takes off what the splines are found too large by, so it is a little too thick.
+    `read_mesh` subtracts the largest overestimate of the splines, so the obstacle is slightly too
+    thick.
 
     Attributes:
-        low: Lowest corner (3,) of the lattice, m.
-        step: Distance of its points, m.
-        values: Signed distances (X, Y, Z) there, m.
-        vertices: Points (V, 3) of the surface, m.
-        triangles: Its triangles (F, 3).
+        low: Lowest corner (3,) of the lattice, world frame, m.
+        step: Spacing of the lattice, m.
+        values: Signed distances (X, Y, Z) at the lattice points, m; negative inside.
+        vertices: Vertices (V, 3) of the surface, world frame, m.
+        triangles: Vertex indices (F, 3) of the triangles.
     """
 
     low: Array
@@ -52,9 +53,10 @@ class Mesh:
         return np.asarray(spline_filter(self.values, order=3, mode="nearest"))
 
     def distance(self, point: Array) -> Distances:
-        """Signed distances of points (M, 3), and slopes, by differences of the spline.
+        """Signed distances (M,) of points (M, 3), and gradients by differences of the spline.
 
-        Beyond the lattice it is the distance to the point of the surface nearest to the lattice's.
+        Outside the lattice, the distance is to the surface point nearest to the closest lattice
+        point.
         """
         inner, beyond, h = self._inner(point)
         f = self._around(inner, h * np.array([[0, 0, 0], *np.eye(3), *-np.eye(3)]))
@@ -67,7 +69,7 @@ class Mesh:
         return signed, slope
 
     def curvature(self, point: Array) -> Array:
-        """Curvatures (M, 3, 3) of the distances at points (M, 3): none beyond the lattice."""
+        """Hessians (M, 3, 3) of the distance at points (M, 3), 1/m; zero outside the lattice."""
         inner, beyond, h = self._inner(point)
         across = [[1, 1, 0], [-1, -1, 0], [1, 0, 1], [-1, 0, -1], [0, 1, 1], [0, -1, -1]]
         f = self._around(inner, h * np.array([[0, 0, 0], *np.eye(3), *-np.eye(3), *across]))
@@ -81,33 +83,36 @@ class Mesh:
         return curved
 
     def _inner(self, point: Array) -> tuple[Array, Array, float]:
-        """The lattice's nearest points (M, 3), the ways (M, 3) from there, and a difference, m."""
+        """Nearest points (M, 3) inside the lattice, offsets (M, 3) from them, and difference step.
+
+        All are in m; the step is that of the finite differences.
+        """
         top = self.low + self.step * (np.array(self.values.shape) - 3.0)
         inner = np.clip(point, self.low + 2.0 * self.step, top)
         return inner, point - inner, 0.25 * self.step
 
     def _around(self, point: Array, offsets: Array) -> Array:
-        """Values (M, F) of the spline at points (M, 3) with each of offsets (F, 3)."""
+        """Values (M, F) of the spline at points (M, 3) plus each of the offsets (F, 3)."""
         at = ((point[:, None] + offsets - self.low) / self.step).reshape(-1, 3).T
         f = map_coordinates(self._spline, at, order=3, prefilter=False, mode="nearest")
         return np.asarray(f.reshape(len(point), len(offsets)))
 
     def surface(self) -> Surface:
-        """The triangles it was made from."""
+        """The triangles from which the distances were computed."""
         return self.vertices, self.triangles
 
 
 def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
-    """A closed surface from a file: STL, OBJ or PLY. No file that it names is read.
+    """Read a closed surface from a file: STL, OBJ or PLY. Files that it refers to are not read.
 
     Args:
         path: The file.
-        pose: Pose (4, 4) of its frame in the world.
-        scale: Metres of a unit of the file.
+        pose: Pose (4, 4) of the file's frame in the world.
+        scale: Length of a unit of the file, m.
 
     Raises:
-        GlissandoError: The file cannot be read, or has too many triangles; the surface is open, of
-            triangles that face both ways, or not a few metres at most; trimesh is not installed.
+        GlissandoError: The file cannot be read, or has too many triangles; the surface is open, has
+            inconsistent orientation, or is longer than 10 m; trimesh is not installed.
     """
     surface = _closed_surface(path, pose, scale)
     low, high = surface.bounds
@@ -125,7 +130,7 @@ def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
 
 
 def _closed_surface(path: Path, pose: Array, scale: float) -> Any:
-    """The surface of trimesh in a file, placed, which has an inside; see `read_mesh`."""
+    """Closed, consistently oriented trimesh surface of a file, in the world; see `read_mesh`."""
     with needing("Meshes need trimesh and rtree", "mesh"):
         import rtree  # noqa: F401  which trimesh needs for distances
         import trimesh
@@ -164,14 +169,14 @@ def _closed_surface(path: Path, pose: Array, scale: float) -> Any:
 
 
 Solid = tuple[Any, list[Any]]
-"""A body of trimesh that is full, and the cavities in it, as bodies that are full."""
+"""A solid trimesh body and its cavities, all with triangles that face outwards."""
 
 
 def _solids(surface: Any) -> list[Solid]:
-    """The bodies of a closed surface that are full, each with its cavities.
+    """Solid bodies of a closed surface, each with its cavities.
 
-    A body whose triangles face inwards is a cavity of those it lies in, unless all of the surface
-    is inside out; one that lies in none is full as well.
+    A body whose triangles face inwards is a cavity of the bodies around it, and a solid if there
+    are none. If the whole surface is inside out, all orientations are reversed first.
     """
     turn = 1.0 if surface.volume > 0.0 else -1.0
     bodies = surface.split()
@@ -185,7 +190,7 @@ def _solids(surface: Any) -> list[Solid]:
 
 
 def _joined(solids: list[Solid]) -> list[Solid]:
-    """The same solids, with those that are apart from all others as one: one pass does for all."""
+    """Solids with those disjoint from all others merged into one mesh, for fewer queries."""
     import trimesh
 
     low, high = np.moveaxis(np.array([body.bounds for body, _ in solids]), 1, 0)
@@ -197,7 +202,7 @@ def _joined(solids: list[Solid]) -> list[Solid]:
 
 
 def _outwards(body: Any) -> Any:
-    """A body whose triangles face outwards."""
+    """The body with triangles that face outwards."""
     import trimesh
 
     return body if body.volume > 0.0 else trimesh.Trimesh(body.vertices, body.faces[:, ::-1])
@@ -215,9 +220,9 @@ def _signed(solids: Sequence[Solid], point: Array) -> Array:
 
 
 def _distance(body: Any, point: Array) -> Array:
-    """Signed distances of points (M, 3) from a body of trimesh, negative inside.
+    """Signed distances of points (M, 3) from a trimesh body, negative inside.
 
-    Of some points at a time, as it keeps all triangles near each of them.
+    Points are processed in batches, since trimesh stores all triangles near each of them.
     """
     import trimesh
 
@@ -227,7 +232,7 @@ def _distance(body: Any, point: Array) -> Array:
 
 
 def _too_far(mesh: Mesh, solids: Sequence[Solid]) -> float:
-    """By how much distances near the surface may be too large, from random points there, m."""
+    """Largest overestimate of distances near the surface, m, from random points there."""
     rng = np.random.default_rng(0)
     corners = mesh.vertices[mesh.triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

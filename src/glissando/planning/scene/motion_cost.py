@@ -1,4 +1,4 @@
-"""What a motion costs: accuracy, time, wear and information, with their partial slopes."""
+"""Cost of a motion: accuracy, time, wear and information, with partial gradients."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ from glissando.planning.scene.risk import Clearances, HitBound
 from glissando.planning.scene.scene import Scene, SpaceZone
 from glissando.planning.scene.tendon_body import BodyShapes
 
-_HAZE = 0.25  # of a zone's radius, over which it fades out
+_HAZE = 0.25  # width of a zone's smooth boundary over its radius
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a motion is worth.
+    """A motion with its shapes, uncertainty, risk and cost.
 
     Attributes:
-        control: Its control points (C, S+2).
-        values: Values (K, C) of the actuators at the moments.
-        shapes: The expected shapes.
-        known: What is known of the model error.
-        row_slopes: Slopes (C, r, q) of the whitened rows of readings by the sensors' places.
-        clearances: How far the body is from obstacles.
-        slopes: Slopes (O, K, N, 3) of the distances.
-        hits: The bound of the risk.
-        terms: Cost of each of the objectives, weighted, by name.
+        control: Control points (C, S+2) of the C actuators, m.
+        values: Values (K, C) of the actuators at the moments, m.
+        shapes: Expected shapes at the moments.
+        known: Covariances of the body's deviation, as a model error.
+        row_slopes: Derivatives (M, r, q) of the readings' whitened rows at each correction by the
+            sensors' arclengths.
+        clearances: Distances of the body from obstacles.
+        slopes: Gradients (O, K, N, 3) of the distances by position.
+        hits: Bound of the collision probability.
+        terms: Weighted cost terms by name.
     """
 
     control: Array
@@ -50,27 +51,27 @@ class Evaluation:
 
     @property
     def tip(self) -> Array:
-        """Positions (K, 3) of the tip, m."""
+        """Expected positions (K, 3) of the tip, world frame, m."""
         return self.shapes.place[:, -1]
 
     @cached_property
     def cov(self) -> Array:
-        """Covariances (K, N, 3, 3) of the places, world frame, m²."""
+        """Covariances (K, N, 3, 3) of the positions, world frame, m²."""
         moves = self.shapes.moves
         return moves @ self.known.off[:, None] @ moves.mT
 
 
 @dataclass
 class Slopes:
-    """Partial slopes of a value, gathered before the backward pass.
+    """Partial gradients of a value, accumulated before the backward pass.
 
     Attributes:
-        place: By the places (K, N, 3).
-        moves: By how they move with the model error (K, N, 3, q).
-        off: By the covariance of what the body is off by, as such an error (K, q, q).
-        lagged: By the covariance with that a moment later (K−1, q, q).
-        before: By that of what is not known of the model error at the corrections (C, q, q).
-        control: By the control points (C, S+2).
+        place: Gradient (K, N, 3) by the positions.
+        moves: Gradient (K, N, 3, q) by the positions' Jacobian with respect to the model error.
+        off: Gradient (K, q, q) by the covariance of the body's deviation, as a model error.
+        lagged: Gradient (K−1, q, q) by its covariance with the deviation at the next moment.
+        before: Gradient (M, q, q) by the covariance of the model error at the M corrections.
+        control: Gradient (C, S+2) by the control points.
     """
 
     place: Array
@@ -82,14 +83,14 @@ class Slopes:
 
     @staticmethod
     def zero(at: Evaluation) -> Slopes:
-        """No slopes."""
+        """Gradients that are zero, in the shapes of an evaluation."""
         known, shapes = at.known, at.shapes
         covs = known.off, known.lagged, known.corrections.off
         return Slopes(*map(np.zeros_like, (shapes.place, shapes.moves, *covs, at.control)))
 
 
 def tip_misses(scene: Scene, space: MotionSpace, at: Evaluation) -> list[tuple[int, Array]]:
-    """Moment of each target, and the tip's way from it (3,) over what is allowed."""
+    """Moment index of each target, and offset (3,) of the tip from it over the tolerance."""
     out = []
     for target in scene.targets:
         k = space.moment_at(target.time)
@@ -100,13 +101,13 @@ def tip_misses(scene: Scene, space: MotionSpace, at: Evaluation) -> list[tuple[i
 def cost_terms(
     scene: Scene, space: MotionSpace, at: Evaluation, slopes: Slopes | None = None
 ) -> dict[str, float]:
-    """The terms of a motion's cost by name, weighted as the scene says.
+    """Terms of a motion's cost by name, with the scene's weights.
 
     Args:
         scene: The scene.
-        space: The motions.
-        at: The motion.
-        slopes: Where their partial slopes are added, if they are asked for.
+        space: Space of the motion.
+        at: The evaluated motion.
+        slopes: Accumulates the partial gradients of the cost; None to skip them.
     """
     return {
         "accuracy": _accuracy(scene, space, at, slopes),
@@ -117,7 +118,7 @@ def cost_terms(
 
 
 def _accuracy(scene: Scene, space: MotionSpace, at: Evaluation, slopes: Slopes | None) -> float:
-    """Variance of the tip at each target, over the square of what is allowed."""
+    """Total variance of the tip at each target over the squared tolerance, summed over targets."""
     total = 0.0
     for (k, _), target in zip(tip_misses(scene, space, at), scene.targets, strict=True):
         weight = scene.weights.accuracy / target.tolerance**2
@@ -144,7 +145,7 @@ def _time(scene: Scene, space: MotionSpace, at: Evaluation, slopes: Slopes | Non
 
 
 def _wear(scene: Scene, space: MotionSpace, at: Evaluation, slopes: Slopes | None) -> float:
-    """Mean square speed of all actuators, of their limits."""
+    """Mean square speed of all actuators over their limits."""
     limit = np.array([path.speed * path.step for path in space.paths])[:, None]
     speed = np.diff(at.control, axis=1) / limit
     weight = scene.weights.wear / speed.size
@@ -158,7 +159,7 @@ def _wear(scene: Scene, space: MotionSpace, at: Evaluation, slopes: Slopes | Non
 def _zone(
     scene: Scene, space: MotionSpace, at: Evaluation, zone: SpaceZone, slopes: Slopes | None
 ) -> float:
-    """Mean variance of the places in a zone at the corrections, over the robot's radius squared."""
+    """Mean variance of positions in a zone at the corrections, over the robot's radius squared."""
     k = space.corrected
     inside, by_place = _inside(at.shapes, at.shapes.place[k], zone)
     total = float(inside.sum()) + 1e-9
@@ -176,7 +177,7 @@ def _zone(
 
 
 def _inside(shapes: BodyShapes, place: Array, zone: SpaceZone) -> tuple[Array, Array]:
-    """How far places (K, N) are in a zone, from 0 to 1, and the slopes (K, N, 3) of that."""
+    """Smooth membership (K, N) in [0, 1] of positions in a zone, and its gradients (K, N, 3)."""
     if zone.arclength is not None:
         low, high = zone.arclength
         s = shapes.body.arclength

@@ -1,8 +1,8 @@
-"""One problem for robot and sensors: the cost and the risk of a motion, with their slopes.
+"""Joint planning problem of robot and sensors: cost and risk of a motion, with gradients.
 
-A motion is the paths of all tendons and slides, quadratic B-splines within the limits of each. Its
-shapes follow from the tendons, what is known from the shapes and the slides, the risk from both;
-one backward pass takes all slopes back to the control points.
+A motion consists of the paths of all tendons and slides, quadratic B-splines within their limits.
+The tendons determine the shapes, shapes and slides the covariance of the model error, and both the
+risk. One backward pass propagates all gradients to the control points.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from glissando.planning.scene.scene import Scene
 from glissando.planning.scene.sensor_errors import SensorErrors
 from glissando.planning.scene.tendon_body import BodyShapes, BySeen, TendonBody
 
-_ROUNDING = 1e-9  # of a step
+_ROUNDING = 1e-9  # share of a step
 
 
 @dataclass(frozen=True)
 class MotionProblem:
-    """A scene and a body with a belief about its model error: what a motion is judged by.
+    """Planning problem: a scene, a body, and the belief about its model error.
 
     Attributes:
         scene: The scene.
         body: The body.
-        belief: What is known of the model error at the start, and of the sensors' errors.
-        space: The motions.
-        senses: Whether readings to come are counted on.
-        sensed: What is unknown of the sensors.
+        belief: Belief about model error and sensor errors at the start.
+        space: Space of admissible motions.
+        senses: Whether future readings are taken into account.
+        sensed: Uncertain parameters of the sensors.
     """
 
     scene: Scene
@@ -54,34 +54,34 @@ class MotionProblem:
 
     @cached_property
     def time_scale(self) -> Array:
-        """How long each number of the belief lasts (n,), s."""
+        """Correlation times (n,) of the components of the belief, s."""
         own = np.full(self.body.errors, self.body.time_scale)
         return np.concatenate([own, self.sensed.time_scale])
 
     def expected(self, time: float | Array) -> Array:
-        """Model errors (…, q) that are expected at times (…), s."""
+        """Expected model errors (…, q) at times (…), s."""
         fade = np.exp(-np.asarray(time)[..., None] / self.body.time_scale)
         return np.asarray(fade * self.belief.mean[: self.body.errors])
 
     @cached_property
     def radius(self) -> float:
-        """Radius of balls about the places that hold all of a straight body between them, m."""
+        """Radius of balls about the places that together contain a straight body, m."""
         return float(np.hypot(self.scene.robot_radius, 0.5 * self.body.step.max()))
 
     @property
     def wider(self) -> float:
-        """By how much those balls are wider than the robot, m: clearances are so much more."""
+        """Excess of that radius over the robot's, m, by which clearances are underestimated."""
         return self.radius - self.scene.robot_radius
 
     def evaluate(self, control: Array, like: Evaluation | None = None) -> Evaluation:
-        """What a motion with control points (C, S+2) is worth.
+        """Evaluate shapes, uncertainty, risk and cost of a motion.
 
         Args:
-            control: The control points.
-            like: A similar motion, from whose shapes the search for these begins.
+            control: Control points (C, S+2) of the motion.
+            like: A similar motion, whose shapes are initial values of the equilibria.
 
         Raises:
-            NoShapeError: A shape was not found.
+            NoShapeError: No equilibrium was found.
         """
         values = self.space.basis @ control.T
         start = None if like is None else like.shapes.balance.strain
@@ -97,9 +97,9 @@ class MotionProblem:
         return replace(out, terms=cost_terms(self.scene, self.space, out))
 
     def cut(self, at: Evaluation, spacing: float) -> tuple[MotionProblem, BodyShapes, Clearances]:
-        """The problem, and a motion's shapes and clearances, with places closer than a spacing, m.
+        """Problem, shapes and clearances of a motion with places at most `spacing` m apart.
 
-        What is known of the model error stays as it is.
+        The covariances of the model error are those of the unrefined motion.
         """
         more = max(1, int(np.ceil(self.body.step.max() / spacing - _ROUNDING)))
         finer = replace(self, body=replace(self.body, steps=more * self.body.steps))
@@ -107,23 +107,23 @@ class MotionProblem:
         return finer, shapes, finer._clearances(shapes, at.known)[0]
 
     def log_risk(self, at: Evaluation) -> float:
-        """Logarithm of the bound of the risk, plus how deep the expected body is in obstacles.
+        """Logarithm of the risk bound, plus the depth of the expected body in obstacles.
 
-        The depth, a sum of squares in robot radii, is zero where the risk is small; where a hit is
-        certain it has a slope, and the risk has none.
+        The depth, a sum of squares in robot radii, is zero where the risk is small. Where a hit is
+        certain the gradient of the risk vanishes, but that of the depth does not.
         """
         deep = np.minimum(at.clearances.mean, 0.0) / self.scene.robot_radius
         return float(np.log(max(at.hits.value, 1e-30)) + np.sum(deep**2))
 
     def gradients(self, at: Evaluation) -> tuple[Array, Array]:
-        """Slopes (n,) of the cost and of `log_risk` by the free numbers, in one backward pass."""
+        """Gradients (n,) of cost and `log_risk` by the free variables, in one backward pass."""
         slopes = Slopes.zero(at)
         cost_terms(self.scene, self.space, at, slopes)
         cost, risk = self._back(at, [slopes, self._log_risk_slopes(at)])
         return cost, risk
 
     def _log_risk_slopes(self, at: Evaluation) -> Slopes:
-        """Partial slopes of `log_risk`."""
+        """Partial gradients of `log_risk`."""
         slopes, share = Slopes.zero(at), 1.0 / max(at.hits.value, 1e-30)
         slopes.off += share * at.hits.by_cov
         slopes.lagged += share * at.hits.by_lagged
@@ -133,11 +133,11 @@ class MotionProblem:
         return slopes
 
     def misses(self, at: Evaluation) -> Array:
-        """How far the tip is from each target (G,) at its time, over what is allowed, squared."""
+        """Squared distances (G,) of the tip from each target at its time, in squared tolerances."""
         return np.array([float(away @ away) for _, away in tip_misses(self.scene, self.space, at)])
 
     def misses_gradient(self, at: Evaluation) -> Array:
-        """Slopes (G, n) of `misses` by the free numbers."""
+        """Jacobian (G, n) of `misses` by the free variables."""
         tip, rows = at.shapes.tip_by_displacement(), []
         for (k, away), target in zip(
             tip_misses(self.scene, self.space, at), self.scene.targets, strict=True
@@ -149,7 +149,7 @@ class MotionProblem:
         return np.stack(rows)
 
     def _back(self, at: Evaluation, slopes: Sequence[Slopes]) -> list[Array]:
-        """Slopes (n,) by the free numbers, of values whose partial slopes are given."""
+        """Gradients (n,) by the free variables, of values whose partial gradients are given."""
         by_rows = np.stack([at.known.back(one.off, one.lagged, one.before) for one in slopes])
         by_twist, by_slides = self._back_rows(at, by_rows)
         by_place, by_moves = (np.stack([getattr(one, name) for one in slopes])
@@ -162,7 +162,7 @@ class MotionProblem:
         ]
 
     def _clearances(self, shapes: BodyShapes, known: KnownError) -> tuple[Clearances, Array]:
-        """Clearances of all places, and slopes (O, K, N, 3) of the distances."""
+        """Clearances of all places, and gradients (O, K, N, 3) of the distances."""
         lead = shapes.place.shape[:2]
         parts = distances(self.scene.obstacles, shapes.place.reshape(-1, 3))
         signed, slope = (part.reshape(len(part), *lead, *part.shape[2:]) for part in parts)
@@ -172,7 +172,7 @@ class MotionProblem:
         return Clearances(mean, by_error, known.off, known.lagged, floor), slope
 
     def _add_hits(self, at: Evaluation, weight: float, slopes: Slopes) -> None:
-        """Add slopes of the risk by places and by how they move with the model error."""
+        """Add gradients of the risk by positions and by their Jacobian with the model error."""
         events = np.nonzero(at.hits.by_mean)
         by_mean, by_error = weight * at.hits.by_mean[events], weight * at.hits.by_error[events]
         normal, here = at.slopes[events], events[1:]
@@ -185,9 +185,9 @@ class MotionProblem:
         np.add.at(slopes.moves, here, normal[:, :, None] * by_error[:, None, :])
 
     def _rows(self, shapes: BodyShapes, values: Array) -> tuple[Array, Array]:
-        """Whitened rows (C, r, n) of the readings of each correction, and their slopes by place.
+        """Whitened rows (M, r, n) of the readings at each correction, and derivatives by arclength.
 
-        The slopes (C, r, q) are of what the rows say of the model error.
+        The derivatives (M, r, q) are those of the rows' columns for the model error.
         """
         values = values[self.space.corrected]
         rows = [np.zeros((len(values), 0, self.time_scale.size))]
@@ -207,7 +207,7 @@ class MotionProblem:
         return np.concatenate(rows, axis=1), np.concatenate(slopes, axis=1)
 
     def _back_rows(self, at: Evaluation, by_rows: Array) -> tuple[list[BySeen], Array]:
-        """Slopes by twists and (G, K, L) by slides, of those (G, C, r, q) by the rows."""
+        """Gradients by twists, and (G, K, L) by slides, from those (G, M, r, n) by the rows."""
         by_twist: list[BySeen] = []
         first, corrected = len(self.scene.tendons), self.space.corrected
         by_rows = by_rows[..., : self.body.errors]
@@ -226,12 +226,12 @@ class MotionProblem:
 
     @cached_property
     def _white(self) -> list[tuple[Array, Array]]:
-        """Whitened rows of each sensor, worth its readings of a correction: `SensorErrors.rows`."""
+        """Whitened rows of each sensor for all readings of an interval; see `SensorErrors.rows`."""
         time = self.space.correction
         return [self.sensed.rows(sensor, time) for sensor in self.scene.sensors]
 
     def neighbours(self, arclength: Array) -> tuple[Index, Array]:
-        """Four places (M, 4) about arclengths (M,), and their weights and slopes (M, 2, 4)."""
+        """Indices (M, 4) of places about arclengths (M,); cubic weights and slopes (M, 2, 4)."""
         nodes = self.body.arclength
         last = nodes.size - 2
         lower = np.clip(np.searchsorted(nodes, arclength, side="right") - 1, 0, last)

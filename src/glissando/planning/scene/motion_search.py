@@ -1,7 +1,7 @@
-"""The search for a motion of least cost at a bounded risk, from one that is given.
+"""Local search for a motion of least cost at bounded risk, from a given motion.
 
-A motion is judged when commands are corrected, and in between where a place that comes near an
-obstacle would otherwise go too far from one moment to the next, so that nothing passes unseen.
+A motion is evaluated when commands are corrected, and also in between if a place near an obstacle
+would move too far from one moment to the next, so that no collision is overlooked.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from glissando.model.grid import Index
 from glissando.planning.scene.motion_cost import Evaluation
 from glissando.planning.scene.motion_problem import MotionProblem
 
-_FAR = 10.0  # of the cost, a constraint missed by its own size
-_WITHIN = 0.99  # of what the tip may miss a target by, squared, that a plan aims at
-_ROUNDING = 1e-2  # by which constraints, of the logarithm of the risk, may be missed
-_MORE = 0.05  # by which a restored motion keeps constraints
-_SMALL = 1e-2  # factor of a penalty, so that the first step is no longer than it may be
+_FAR = 10.0  # penalty per unit of constraint violation
+_WITHIN = 0.99  # squared distance from a target over squared tolerance, at most, in a search
+_ROUNDING = 1e-2  # tolerated violation of the constraints in sum, such as of the log risk
+_MORE = 0.05  # margin with which a restoration satisfies the constraints
+_SMALL = 1e-2  # factor on the penalised cost, which keeps the first step short
 _RESTORE = 60  # iterations of a restoration
-_CLOSE = 1e-5  # of the cost, that an iteration must gain
-_STRIDE = 1.0  # robot radii that a place near something may go between two moments
-_NEAR = 5.0  # standard deviations of clearance beyond which nothing is hit
-_HALVINGS = 4  # of the time between two corrections at most
+_CLOSE = 1e-5  # tolerance of the cost in the search
+_STRIDE = 1.0  # robot radii that a place near an obstacle may move between two moments
+_NEAR = 5.0  # standard deviations of clearance beyond which hits are neglected
+_HALVINGS = 4  # of the time between two corrections, at most
 
 
 @dataclass
 class Search:
-    """A search for the motion of least cost whose bound of the risk is below `allowed`.
+    """Search for the motion of least cost whose risk bound is below `allowed`.
 
-    Sequential quadratic programming: the limits of the actuators are linear, the risk and the
-    distances from the targets are constraints. Source: Kraft 1988, as scipy has it.
+    Sequential quadratic programming: the actuators' limits are linear constraints, the risk and
+    the distances from the targets are nonlinear ones. Source: Kraft 1988, SLSQP of scipy.
 
     Attributes:
         problem: The problem.
-        allowed: What the bound of the risk is held below.
-        last: What was evaluated last.
+        allowed: Upper limit of the risk bound.
+        last: The last evaluation, which is reused for the same motion.
     """
 
     problem: MotionProblem
@@ -49,28 +49,28 @@ class Search:
     _sloped: tuple[Evaluation, tuple[Array, Array]] | None = field(default=None, init=False)
 
     def merit(self, at: Evaluation) -> float:
-        """Cost and how far the constraints are missed."""
+        """Cost plus penalised violation of the constraints."""
         over = max(0.0, self.problem.log_risk(at) - float(np.log(self.allowed)))
         far = np.maximum(np.sqrt(self.problem.misses(at)) - 1.0, 0.0)
         return at.cost + _FAR * (over + float(far.sum()))
 
     def value(self, control: Array) -> float:
-        """The merit of a motion; infinite where the robot has no shape."""
+        """Merit of a motion; infinite if the robot has no equilibrium."""
         try:
             return self.merit(self.at(control))
         except NoShapeError:
             return np.inf
 
     def at(self, control: Array) -> Evaluation:
-        """What a motion is worth; that of the last one if it is the same."""
+        """Evaluation of a motion with control points (C, S+2); cached for the last one."""
         if self.last is None or not np.array_equal(control, self.last.control):
             self.last = self.problem.evaluate(control, self.last)
         return self.last
 
     def improve(self, control: Array, iterations: int, *, restores: bool = True) -> Evaluation:
-        """The best motion that the search leads to; `restores` takes longer where it misses.
+        """Search from a motion; `restores` allows a restoration phase if constraints are violated.
 
-        Narrow passages bend the constraints more than their slopes say.
+        It helps in narrow passages, where the constraints are strongly nonlinear.
         """
         best = self._minimize(control, iterations)
         if restores and self.missed(best):
@@ -79,33 +79,33 @@ class Search:
         return best
 
     def missed(self, at: Evaluation) -> bool:
-        """Whether a motion misses a target, or risks more than is allowed."""
+        """Whether a motion misses a target or exceeds the allowed risk."""
         return self.merit(at) > at.cost + _FAR * _ROUNDING
 
     def _gaps(self, at: Evaluation) -> Array:
-        """What is left of what targets (G,) and, last, the risk may be; negative where missed."""
+        """Margins (G+1,) of the targets and of the log risk; negative where violated."""
         risk = float(np.log(self.allowed)) - self.problem.log_risk(at)
         return np.append(_WITHIN - self.problem.misses(at), risk)
 
     def _gap_slopes(self, at: Evaluation) -> Array:
-        """Slopes (G+1, n) of that by the free numbers."""
+        """Jacobian (G+1, n) of the margins by the free variables."""
         return -np.vstack([self.problem.misses_gradient(at), self._gradients(at)[1]])
 
     def _gradients(self, at: Evaluation) -> tuple[Array, Array]:
-        """Slopes (n,) of the cost and the logarithm of the risk by the free numbers."""
+        """Gradients (n,) of cost and log risk by the free variables; cached for the last motion."""
         if self._sloped is None or self._sloped[0] is not at:
             self._sloped = at, self.problem.gradients(at)
         return self._sloped[1]
 
     @cached_property
     def _limits(self) -> tuple[Array, Array]:
-        """Rows (m, n) and ends (m,) of the limits of speeds and accelerations, rows x ≤ ends."""
+        """Rows (m, n) and ends (m,) of the actuators' linear limits, rows x ≤ ends."""
         rows, centre, width = self.problem.space.polytope
         ends = np.concatenate([width + centre, width - centre])
         return np.concatenate([rows, -rows]), ends
 
     def _motion(self, free: Array) -> Evaluation:
-        """The motion of free numbers that keep the limits but for rounding."""
+        """Motion of free variables, projected onto the limits if these are exceeded."""
         edges, ends = self._limits
         new = self.problem.space.control(free)
         return self.at(
@@ -113,7 +113,7 @@ class Search:
         )
 
     def _penalty(self, at: Evaluation) -> float:
-        """Cost and what is missed, so small that a first step is no longer than it may be."""
+        """Cost plus violation of the constraints with a margin, scaled to keep steps short."""
         short = np.maximum(_MORE - self._gaps(at), 0.0)
         return _SMALL * (at.cost + _FAR * float(short.sum()))
 
@@ -123,9 +123,9 @@ class Search:
         return _SMALL * (slope - _FAR * short @ self._gap_slopes(at))
 
     def _minimize(self, control: Array, iterations: int, *, penalty: bool = False) -> Evaluation:
-        """What the programs lead to from a motion; the motion itself where that is no better.
+        """Minimise from a motion by SLSQP; returns the given motion if the result is not better.
 
-        What may be missed is a constraint, or a `penalty`.
+        Targets and risk are constraints, or terms of the cost with `penalty`.
         """
         edges, ends = self._limits
 
@@ -147,13 +147,13 @@ class Search:
                 constraints=[limits] if penalty else [limits, gaps],
                 options={"maxiter": iterations, "ftol": _CLOSE * (_SMALL if penalty else 1.0)},
             )  # fmt: skip
-        except NoShapeError:  # a trial step bent the robot beyond what has a shape
+        except NoShapeError:  # a trial step left the shapes with an equilibrium
             return begin
         return min((self._motion(solution.x), begin), key=self.merit)
 
 
 def judged_closely(search: Search, motion: Evaluation) -> tuple[Search, Evaluation]:
-    """The search with all moments that a motion needs, and the motion judged at these."""
+    """Search with the additional moments that a motion needs, and the motion evaluated at these."""
     for _ in range(_HALVINGS):
         problem = search.problem
         parts, moments = _parts(problem, motion), problem.space.moments
@@ -168,7 +168,7 @@ def judged_closely(search: Search, motion: Evaluation) -> tuple[Search, Evaluati
 
 
 def _parts(problem: MotionProblem, motion: Evaluation) -> Index:
-    """How many parts (K−1,) the time to the next moment needs, each twice as many as another."""
+    """Number of parts (K−1,), a power of two, into which the time to the next moment is split."""
     space, clearances = problem.space, motion.clearances
     way = np.linalg.norm(np.diff(motion.shapes.place, axis=0), axis=-1)
     least = _both(clearances.mean, np.minimum) - way
@@ -182,6 +182,6 @@ def _parts(problem: MotionProblem, motion: Evaluation) -> Index:
 
 
 def _both(values: Array, which: np.ufunc) -> Array:
-    """Of values (O, K, N), those (O, K−1, N) of a moment or the next."""
+    """Minimum or maximum (O, K−1, N), by `which`, of values (O, K, N) at neighbouring moments."""
     out: Array = which(values[:, 1:], values[:, :-1])
     return out

@@ -1,4 +1,4 @@
-"""The motions that tendons and slides can make: B-splines within the limits of each."""
+"""Space of the motions of tendons and slides: B-splines within the limits of each actuator."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from glissando.planning.optimize import Polytope
 from glissando.planning.path_space import PathSpace
 from glissando.planning.scene.scene import Actuator, Scene
 
-_SAME = 1e-9  # s between two times that are one
+_SAME = 1e-9  # s, below which two times are equal
 
 
 @dataclass(frozen=True)
 class MotionSpace:
-    """The motions that actuators can make: paths of C actuators, all of the same times.
+    """Motions of C actuators: paths over the same time steps.
 
     Attributes:
-        paths: The paths of each.
-        moments: Times (K,) at which a motion is judged, s from its start.
-        corrected: Numbers (M,) of the moments at which commands are corrected by what was read:
-            the first, the last, and others as far apart.
+        paths: Space of paths of each actuator.
+        moments: Times (K,) at which a motion is evaluated, s from its start.
+        corrected: Indices (M,) of the moments at which commands are corrected by readings: the
+            first, the last, and evenly spaced ones between.
     """
 
     paths: tuple[PathSpace, ...]
@@ -33,21 +33,21 @@ class MotionSpace:
 
     @property
     def size(self) -> int:
-        """Free numbers of a motion."""
+        """Number n of free variables of a motion."""
         return len(self.paths) * (self.paths[0].steps - 1)
 
     @cached_property
     def scale(self) -> Array:
-        """Half the range (C, 1) of each actuator, by which free numbers are divided, m."""
+        """Half the range (C, 1) of each actuator, m, the unit of its free variables."""
         return np.array([[0.5 * (path.upper - path.lower)] for path in self.paths])
 
     @cached_property
     def basis(self) -> Array:
-        """Values (K, S+2) of the splines of each control point at the moments."""
+        """Basis functions (K, S+2) of the control points at the moments."""
         return self.basis_at(self.moments)
 
     def basis_at(self, time: Array) -> Array:
-        """Values (…, S+2) of the splines of each control point at times (…,), s."""
+        """Basis functions (L, S+2) of the control points at times (L,), s."""
         path = self.paths[0]
         piece = np.minimum((time / path.step).astype(np.intp), path.steps - 1)
         x = time / path.step - piece
@@ -64,33 +64,33 @@ class MotionSpace:
 
     @cached_property
     def position(self) -> Array:
-        """The moments (K,) in numbers of corrections, 0 to M − 1."""
+        """The moments (K,) in units of correction intervals, 0 to M − 1."""
         position = self.moments / self.correction
         position[self.corrected] = np.arange(self.corrected.size)
         return position
 
     def with_moments(self, time: Array) -> MotionSpace:
-        """The same motions, judged at further times as well, s."""
+        """The same motions, evaluated at further times (L,), s, as well."""
         apart = np.abs(time[:, None] - self.moments).min(axis=1)
         moments = np.sort(np.concatenate([self.moments, time[apart > _SAME]]))
         corrected = np.searchsorted(moments, self.moments[self.corrected])
         return replace(self, moments=moments, corrected=corrected)
 
     def moment_at(self, time: float) -> int:
-        """Number of the last moment that is not after a time, s."""
+        """Index of the last moment that is not after a time, s."""
         return max(0, int(np.searchsorted(self.moments, time + _SAME, side="right")) - 1)
 
     def control(self, free: Array) -> Array:
-        """Control points (C, S+2) of a motion with free numbers (n,), m."""
+        """Control points (C, S+2), m, of a motion with free variables (n,)."""
         own = free.reshape(len(self.paths), -1) * self.scale
         return np.stack([path.control(row) for path, row in zip(self.paths, own, strict=True)])
 
     def free(self, control: Array) -> Array:
-        """The free numbers (n,) of a motion with control points (C, S+2)."""
+        """Free variables (n,) of a motion with control points (C, S+2), m."""
         return np.asarray((control[:, 2:-1] / self.scale).ravel())
 
     def free_gradient(self, by_value: Array, by_control: Array) -> Array:
-        """Slope (n,) by the free numbers of slopes at the moments (K, C) and by control points."""
+        """Gradient (n,) by the free variables, from those by values (K, C) and control points."""
         total = by_value.T @ self.basis + by_control
         own = total[:, 2:-1].copy()
         own[:, -1] += total[:, -1]
@@ -98,14 +98,14 @@ class MotionSpace:
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest free numbers (n,)."""
+        """Lower and upper bounds (n,) of the free variables."""
         ends = np.array([[path.lower, path.upper] for path in self.paths]) / self.scale
         low, high = np.repeat(ends, self.paths[0].steps - 1, axis=0).T
         return low, high
 
     @cached_property
     def polytope(self) -> Polytope:
-        """The limits of all paths on the free numbers."""
+        """Limits of all paths, as a polytope of the free variables."""
         n = self.paths[0].steps - 1
         blocks, centres, widths = [], [], []
         for c, (path, scale) in enumerate(zip(self.paths, self.scale, strict=True)):
@@ -118,29 +118,30 @@ class MotionSpace:
         return np.concatenate(blocks), np.concatenate(centres), np.concatenate(widths)
 
     def follow(self, target: Array) -> Array:
-        """Control points (C, S+2) as near to targets (C, S+2) as the limits allow."""
+        """Control points (C, S+2) that follow targets (C, S+2) as closely as the limits allow."""
         return np.stack([path.follow(row) for path, row in zip(self.paths, target, strict=True)])
 
 
 def motion_space(
     scene: Scene, step: float = 1.0, start: Array | None = None, speed: Array | None = None
 ) -> MotionSpace:  # fmt: skip
-    """The motions of a scene's tendons and slides; tendons keep reserves to correct.
+    """Space of the motions of a scene's tendons and slides.
 
-    They are judged whenever commands are corrected, and when the tip should be at a target.
+    The tendons' limits exclude the reserves for corrections. Motions are evaluated at each
+    correction of the commands and at the time of each target.
 
     Args:
         scene: The scene.
-        step: Duration of a piece of the splines, s.
-        start: Where the actuators (C,) are; where the scene starts unless given.
-        speed: Their speeds (C,); at rest unless given.
+        step: Approximate duration of a piece of the splines, s.
+        start: Initial values (C,) of the actuators, m; by default the scene's.
+        speed: Initial speeds (C,), m/s; by default zero.
 
     Raises:
         GlissandoError: An actuator cannot stop within its limits.
     """
     steps = max(2, round(scene.horizon / step))
     step = scene.horizon / steps
-    intervals = max(1, int(scene.horizon / scene.correction + _SAME))  # no sooner than in the loop
+    intervals = max(1, int(scene.horizon / scene.correction + _SAME))  # not shorter than the loop's
     actuators: list[Actuator] = [*scene.tendons, *scene.slides]
     places = np.array([a.start for a in actuators]) if start is None else start
     for k, tendon in enumerate(scene.tendons):

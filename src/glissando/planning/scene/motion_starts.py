@@ -1,4 +1,4 @@
-"""Where a search for a motion begins: what is possible at all, and ways to the targets."""
+"""Start motions of a search: feasibility of start and targets, and paths to the targets."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from glissando.geometry.se3 import Array
 from glissando.planning.scene.motion_problem import MotionProblem
 from glissando.planning.scene.sampled_risk import at_close_places, sample_risk
 
-_BENDS = 120  # random bends by way of which a motion may begin, where something is in the way
-_BEND = 0.4  # rad, standard deviation of the bend of a tendon robot's segment on the way
-_SHARE, _WHEN, _LASTS = (0.2, 0.8), (0.25, 0.6), 0.35  # of the way, and of the time to the target
+_BENDS = 120  # number of start motions by way of random bends, in a scene with obstacles
+_BEND = 0.4  # rad, standard deviation of the random bend of a segment
+# share of the way to the first target at which a bend is added; over the target's time, the time
+# of the bend and the time from it to the target
+_SHARE, _WHEN, _LASTS = (0.2, 0.8), (0.25, 0.6), 0.35
 
 
 def require_possible_start(problem: MotionProblem) -> None:
-    """Raise unless the robot is clear of everything where it starts.
+    """Raise unless the robot is clear of all obstacles at its start.
 
     Raises:
-        GlissandoError: It is in collision, or more likely to be than is allowed.
+        GlissandoError: The robot starts in collision, or its probability exceeds the allowed risk.
     """
     space, scene = problem.space, problem.scene
     still = np.stack([np.full(path.steps + 2, path.start) for path in space.paths])
@@ -49,10 +51,10 @@ def require_possible_start(problem: MotionProblem) -> None:
 
 
 def require_clear_targets(problem: MotionProblem) -> None:
-    """Raise unless the tip may be at each target, in its tolerance, without touching anything.
+    """Raise unless the tip can be within tolerance of each target without touching an obstacle.
 
     Raises:
-        GlissandoError: A target lies in an obstacle, or too near to it for the robot.
+        GlissandoError: A target lies in an obstacle, or too close to one for the robot's radius.
     """
     scene = problem.scene
     for target in scene.targets:
@@ -69,7 +71,11 @@ def require_clear_targets(problem: MotionProblem) -> None:
 
 
 def reach_target(problem: MotionProblem, number: int) -> Array:
-    """Displacements (T,) with which the tip comes to a target, by damped Gauss–Newton."""
+    """Displacements (T,), m, with which the tip reaches a target, by damped Gauss–Newton steps.
+
+    Raises:
+        GlissandoError: The target is out of reach within the tendons' limits.
+    """
     scene, body, target = problem.scene, problem.body, problem.scene.targets[number]
     paths = problem.space.paths[: len(scene.tendons)]
     lower, upper = (np.array([getattr(a, end) for a in paths]) for end in ("lower", "upper"))
@@ -109,12 +115,13 @@ def reach_target(problem: MotionProblem, number: int) -> Array:
 def starts(
     problem: MotionProblem, reaches: Array, seed: int, warm: Array | None = None
 ) -> list[Array]:
-    """Motions (C, S+2) that a search begins with.
+    """Control points (C, S+2) of the motions with which a search begins.
 
-    Straight to displacements (G, T) that reach the targets, at once and slowly, and by way of
-    random displacements; the slides hold, go in, or oscillate. Where something is in the way, they
-    also go by way of random bends, with the first of the slides. Tendons and slides of a `warm`
-    motion (C, S+2) come first, with each other and with all of these.
+    The tendons go directly to displacements `reaches` (G, T) of the targets, at two speeds, or by
+    way of random displacements; each is combined with slides that hold, go to the middle, or
+    oscillate. In scenes with obstacles, tendons also go by way of random bends, with slides as in
+    the first combination. Tendons and slides of a `warm` motion (C, S+2) are added to both lists as
+    their first entries.
     """
     scene, space = problem.scene, problem.space
     rng, path = np.random.default_rng(seed), space.paths[0]
@@ -150,11 +157,11 @@ def starts(
 
 
 def _by_bends(problem: MotionProblem, reaches: Array, rng: np.random.Generator) -> list[Array]:
-    """Tendons (T, S+2) on ways to the targets past random bends, if something is in the way.
+    """Tendon targets (T, S+2) of motions by way of random bends; none without obstacles.
 
-    On which side of an obstacle a motion passes decides most of its cost, and a search seldom
-    leaves the side where it began. Bends of all segments reach more sides than displacements,
-    most of which only strain tendons against each other.
+    The side on which a motion passes an obstacle decides most of its cost, and a search seldom
+    changes sides. Random bends of all segments reach more sides than random displacements, most of
+    which only strain tendons against each other.
     """
     scene, tendons = problem.scene, problem.body.rod.tendons
     time, first = problem.space.paths[0].control_times, scene.targets[0].time
@@ -175,7 +182,7 @@ def _by_bends(problem: MotionProblem, reaches: Array, rng: np.random.Generator) 
 
 
 def slide_ways(problem: MotionProblem, control: Array) -> list[Array]:
-    """A motion (C, S+2), and the same with slides that go by way of three places each."""
+    """A motion (C, S+2), and copies whose slides pass through three places on a grid of four."""
     scene, space = problem.scene, problem.space
     if not (scene.slides and problem.senses):
         return [control]

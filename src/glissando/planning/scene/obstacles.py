@@ -1,9 +1,9 @@
-"""Obstacles in the world frame: signed distances of points, their slopes and curvatures.
+"""Obstacles in the world frame: signed distances of points, with gradients and Hessians.
 
-Spheres, capsules and boxes are one thing: a box with rounded edges, of which a sphere's has no size
-and a capsule's only a length. A half-space is the other; `mesh` has the third. Distances are
-negative inside. Source: the distance to a convex set has slope n = v / |v| for v from its nearest
-point, and curvature (I − n nᵀ − A) / |v|, A the projector along the face that this point lies in.
+Spheres, capsules and boxes are all boxes with rounded edges; the box of a sphere has no size, that
+of a capsule only a length. Half-spaces and meshes (see `mesh`) are the other kinds. Distances are
+negative inside. Source: the distance to a convex set has gradient n = v / |v| for v from its
+nearest point, and Hessian (I − n nᵀ − A) / |v|, A the projector along the face of this point.
 """
 
 from __future__ import annotations
@@ -20,36 +20,36 @@ from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 
 _TINY = 1e-12
-_RINGS = 6  # of a quarter of a surface that is shown
+_RINGS = 6  # rings of a displayed surface per quarter turn
 
 Distances = tuple[Array, Array]
-"""Signed distances (M,) and their slopes (M, 3)."""
+"""Signed distances (M,), m, and their gradients (M, 3)."""
 
 Surface = tuple[Array, Index]
-"""Vertices (V, 3) and triangles (F, 3)."""
+"""Vertices (V, 3), m, and triangles (F, 3) as indices of vertices."""
 
 
 class Obstacle(Protocol):
-    """Something to keep away from."""
+    """A solid that the robot must not touch."""
 
     def distance(self, point: Array) -> Distances:
-        """Signed distances of points (M, 3) from the surface, and slopes."""
+        """Signed distances (M,) of points (M, 3) from the surface, and gradients (M, 3)."""
 
     def curvature(self, point: Array) -> Array:
-        """Curvatures (M, 3, 3) of the distances at points (M, 3)."""
+        """Hessians (M, 3, 3) of the distance at points (M, 3), 1/m."""
 
     def surface(self) -> Surface:
-        """Its surface as triangles, by which it is shown."""
+        """The surface as triangles, for display."""
 
 
 @dataclass(frozen=True)
 class RoundedBox:
-    """A box with rounded edges: a sphere without size, a capsule with one, or a plain box.
+    """A box with rounded edges: a sphere, a capsule or a box, depending on its sizes.
 
     Attributes:
-        pose: Pose (4, 4) of its middle.
-        half: Half its sizes (3,) before rounding, m.
-        radius: Radius of the rounding, m.
+        pose: Pose (4, 4) of the centre in the world.
+        half: Half the sizes (3,) of the box without the rounding, m: (0, 0, 0) for a sphere.
+        radius: Radius of the rounding, by which the box grows on all sides, m.
     """
 
     pose: Array
@@ -57,7 +57,7 @@ class RoundedBox:
     radius: float = 0.0
 
     def distance(self, point: Array) -> Distances:
-        """Signed distances of points (M, 3), and slopes."""
+        """Signed distances (M,) of points (M, 3), and gradients (M, 3)."""
         local, away, size = self._away(point)
         signed, normal = size - self.radius, away / np.maximum(size, _TINY)[:, None]
         inside = np.flatnonzero(size <= _TINY)
@@ -70,7 +70,7 @@ class RoundedBox:
         return signed, normal @ self.pose[:3, :3].T
 
     def curvature(self, point: Array) -> Array:
-        """Curvatures (M, 3, 3) of the distances at points (M, 3)."""
+        """Hessians (M, 3, 3) of the distance at points (M, 3), 1/m."""
         turn, (local, away, size) = self.pose[:3, :3], self._away(point)
         normal = away / np.maximum(size, _TINY)[:, None]
         free = (np.abs(local) > self.half).astype(float)
@@ -79,13 +79,13 @@ class RoundedBox:
         return np.asarray(turn @ (curved / np.maximum(size, _TINY)[:, None, None]) @ turn.T)
 
     def _away(self, point: Array) -> tuple[Array, Array, Array]:
-        """Points (M, 3) in the box's frame, their ways from what is rounded, and lengths."""
+        """Points (M, 3) in the box's frame, offsets (M, 3) from the inner box, and lengths (M,)."""
         local = (point - self.pose[:3, 3]) @ self.pose[:3, :3]
         away = local - np.clip(local, -self.half, self.half)
         return local, away, np.linalg.norm(away, axis=-1)
 
     def surface(self) -> Surface:
-        """The surface of a ball whose parts are moved to the corners."""
+        """Triangles of a ball whose octants are moved to the corners of the inner box."""
         down, around = np.linspace(0.0, np.pi, 2 * _RINGS), 4 * _RINGS
         turn = 2.0 * np.pi * (np.arange(around) + 0.5) / around
         away = np.stack(
@@ -102,7 +102,7 @@ def sphere(center: Array, radius: float) -> RoundedBox:
 
 
 def capsule(start: Array, end: Array, radius: float) -> RoundedBox:
-    """All points within a radius of the line from a start (3,) to an end (3,), m."""
+    """A capsule: all points within a radius of the segment from start (3,) to end (3,), m."""
     axis = end - start
     pose = se3.pose(np.eye(3), 0.5 * (start + end))
     size = float(np.linalg.norm(axis))
@@ -115,22 +115,22 @@ def capsule(start: Array, end: Array, radius: float) -> RoundedBox:
 
 @dataclass(frozen=True)
 class HalfSpace:
-    """All that lies behind a plane.
+    """The half-space behind a plane.
 
     Attributes:
-        point: A point of the plane (3,), m.
-        normal: Unit vector (3,) out of it.
+        point: A point (3,) of the plane, m.
+        normal: Outward unit normal (3,).
     """
 
     point: Array
     normal: Array
 
     def distance(self, point: Array) -> Distances:
-        """Signed distances of points (M, 3), and slopes."""
+        """Signed distances (M,) of points (M, 3), and gradients (M, 3)."""
         return (point - self.point) @ self.normal, np.broadcast_to(self.normal, point.shape)
 
     def curvature(self, point: Array) -> Array:
-        """Curvatures (M, 3, 3) of the distances at points (M, 3): none."""
+        """Hessians (M, 3, 3) of the distance at points (M, 3), which are zero."""
         return np.zeros((*point.shape, 3))
 
     def surface(self) -> Surface:
@@ -143,7 +143,7 @@ class HalfSpace:
 
 
 def distances(obstacles: Sequence[Obstacle], point: Array) -> Distances:
-    """Signed distances (O, M) of points (M, 3) from all obstacles, and slopes."""
+    """Signed distances (O, M) of points (M, 3) from all obstacles, and gradients (O, M, 3)."""
     if not obstacles:
         return np.zeros((0, len(point))), np.zeros((0, *point.shape))
     signed, slope = zip(*(obstacle.distance(point) for obstacle in obstacles), strict=True)

@@ -1,13 +1,13 @@
-"""The best motion of a scene: starts of several kinds, each improved, at the risk that is allowed.
+"""The best motion of a scene: search from several starts, at the allowed risk.
 
-What the search holds is a bound of the risk, which errs on the careful side, of balls about places
-of the body that hold all of it; so the risk is sampled at the end, at closer places, and the bound
-allowed to be as much larger as leaves the risk what it may be.
+The search limits an upper bound of the risk, computed for balls about places of the body. The risk
+of the result is then sampled at closer places, and the limit of the bound adjusted until the
+sampled risk is near the allowed one.
 
-How fast tendons are to be so that what is read is corrected in time is stated beside the plan: from
-one correction to the next what is known of the model error changes by what was read, with the
-covariance P⁻ − P⁺ of the filter. Displacements that keep the bends change by −B⁺ E times that, with
-slopes B of the bends by displacements and E by the model error.
+The tendon speed that corrections need is stated with the plan. From one correction to the next the
+estimate of the model error changes with the covariance P⁻ − P⁺ of the filter. Displacements that
+keep the bends change by −B⁺ E times this, with Jacobians B of the bends by displacements and E by
+the model error.
 """
 
 from __future__ import annotations
@@ -42,29 +42,29 @@ from glissando.planning.scene.sensor_errors import SensorErrors, sensor_errors
 from glissando.planning.scene.tendon_body import tendon_body
 
 Progress = Callable[[int, int, str], None]
-"""Called with parts done, parts in all and a note."""
+"""Called with the number of parts done, the number of all parts and a note."""
 
 _SPACING = 0.5  # robot radii between two places of the body, at most
-_PLACES = 80  # of them at most over the whole body, whose balls are then larger
-_PIECES = 12  # of a path, unless that makes them shorter than a second
-_SHARE = 0.9  # of the allowed risk that a plan aims at
+_PLACES = 80  # places over the whole body, at most; the balls about fewer places are larger
+_PIECES = 12  # pieces of a path, unless that makes them shorter than a second
+_SHARE = 0.9  # share of the allowed risk that a plan aims at
 _BRIEF = 12  # iterations of each candidate
-_EVEN = 4  # moments from one correction to the next, of pictures
-_ROUNDS = 3  # of raising the allowance, and of adding moments
+_EVEN = 4  # moments per correction interval in figures
+_ROUNDS = 3  # rounds of adjusting the limit of the bound, and of adding moments
 _LIKELY = 2.0  # standard deviations
-_EASE = 1e-3  # of the largest slope of bends by displacements, below which none is corrected
+_EASE = 1e-3  # relative singular value of the bends' Jacobian below which none is corrected
 
 
 @dataclass(frozen=True)
 class MotionPlan:
-    """A motion with what it is worth.
+    """A planned motion with its evaluation and its sampled risk.
 
     Attributes:
-        problem: The problem it solves.
-        evaluation: What it is worth.
-        risk: Probability that anything is hit, sampled.
-        risk_std: Standard deviation of that number.
-        allowed: What its bound was held below, so that the risk is what was asked for.
+        problem: The problem that it solves.
+        evaluation: Shapes, uncertainty and cost of the motion.
+        risk: Sampled probability of a collision.
+        risk_std: Standard deviation of `risk` as an estimate.
+        allowed: Limit of the risk bound in the search that led to the motion.
     """
 
     problem: MotionProblem
@@ -74,14 +74,14 @@ class MotionPlan:
     allowed: float
 
     def commands(self) -> tuple[Array, Array]:
-        """Times (S,), s, at 20 a second, and values (S, C) of tendons and slides, m."""
+        """Times (S,), s, at 20 Hz, and values (S, C) of tendons and slides, m."""
         count = max(2, round(20.0 * self.problem.scene.horizon) + 1)
         time = np.linspace(0.0, self.problem.scene.horizon, count)
         return time, self.problem.space.basis_at(time) @ self.evaluation.control.T
 
     @property
     def miss(self) -> float:
-        """Largest distance of the tip from a target at its time, m."""
+        """Largest distance of the expected tip from a target at its time, m."""
         space, tip = self.problem.space, self.evaluation.tip
         return max(
             float(np.linalg.norm(tip[space.moment_at(target.time)] - target.position))
@@ -89,7 +89,7 @@ class MotionPlan:
         )
 
     def evenly(self) -> MotionPlan:
-        """The plan judged at even moments, four from one correction to the next."""
+        """The same plan evaluated at uniform times, four per correction interval."""
         space = self.problem.space
         corrected = _EVEN * np.arange(space.corrected.size)
         moments = np.linspace(0.0, space.moments[-1], int(corrected[-1]) + 1)
@@ -98,7 +98,7 @@ class MotionPlan:
 
     @property
     def warning(self) -> str:
-        """What makes the stated risk too small: slow tendons; empty if nothing does."""
+        """Warning that tendons are too slow for corrections, so the risk is too small; or empty."""
         scene = self.problem.scene
         left = scene.reserve * min(tendon.speed for tendon in scene.tendons)
         needed = correction_speed(self.problem, self.evaluation)
@@ -114,20 +114,23 @@ class MotionPlan:
 def motion_problem(
     scene: Scene, robot: Robot, *, step: float | None = None, senses: bool = True
 ) -> MotionProblem:
-    """The problem of a scene for a robot.
+    """Set up the motion planning problem of a scene for a robot.
 
     Args:
         scene: The scene.
         robot: The robot, with [tendons] and a mechanical prior.
-        step: Duration of a piece of the paths, s; by default a twelfth of the horizon, or 1 s.
-        senses: Whether readings to come are counted on.
+        step: Duration of a piece of the paths, s; by default a twelfth of the horizon, but at
+            least 1 s.
+        senses: Whether future readings are taken into account.
 
     Raises:
-        GlissandoError: The scene is none, or none of this robot.
+        GlissandoError: The scene is invalid, or does not fit this robot.
 
     Warns:
-        FalseConfidenceWarning: The robot's weight, which is left out, moves it by more than is
-            claimed, or what is unknown of a sensor or of learned tendons is left out.
+        FalseConfidenceWarning: The robot's weight, which is neglected, moves it by more than the
+            stated uncertainty; or the risk neglects uncertain sensor parameters or the uncertainty
+            of learned tendon parameters.
+        PlanWarning: No sensor parameter of the robot concerns a sensor of the scene.
     """
     require_scene(scene, robot)
     spacing = max(_SPACING * scene.robot_radius, robot.length / _PLACES)
@@ -136,7 +139,7 @@ def motion_problem(
     sensed, left = sensor_errors(scene.sensors, robot, straight)
     if senses:
         _warn_of_sensors(scene, robot, sensed, left)
-    size = body.errors + sensed.std.size  # nothing but what the robot file states
+    size = body.errors + sensed.std.size  # the belief is the prior of the robot file
     belief = ErrorBelief.unknown(size)
     warn_of_weight(robot, body.straight_std)
     if unsure := unsure_numbers(robot):
@@ -147,7 +150,7 @@ def motion_problem(
 
 
 def _warn_of_sensors(scene: Scene, robot: Robot, sensed: SensorErrors, unknown: list[str]) -> None:
-    """Warn that it is left out where or when a scene's sensors may have read, or all of them."""
+    """Warn of unknown sensor parameters that the risk neglects, or if none are of the scene."""
     others = sorted({s for p in robot.sensor_parameters if not p.known for s in p.streams})
     if scene.sensors and others and not (unknown or sensed.parameters):
         named = ", ".join(sorted({sensor.name for sensor in scene.sensors}))
@@ -172,18 +175,19 @@ def plan_motion(
     problem: MotionProblem, *, seed: int = 0, candidates: int = 5, iterations: int = 60,
     warm_start: Array | None = None, progress: Progress | None = None,
 ) -> MotionPlan:  # fmt: skip
-    """The motion of least cost whose risk is what the scene allows.
+    """Plan the motion of least cost within the risk that the scene allows.
 
     Args:
         problem: The problem.
         seed: Seed of the random starts and of the samples of the risk.
-        candidates: How many of the best starts are improved.
-        iterations: Iterations at most for the best of them.
-        warm_start: Control points (C, S+2) of a further start.
-        progress: Called as the search goes on.
+        candidates: Number of starts, the best ones, that are improved.
+        iterations: Largest number of iterations for the best of these.
+        warm_start: Control points (C, S+2) of a further start, m.
+        progress: Called after each part of the search.
 
     Raises:
-        GlissandoError: The scene is impossible: the sentence says which part, and by how much.
+        GlissandoError: No motion found satisfies the scene; the message names the part that is
+            violated, and by how much.
     """
     if candidates < 1 or iterations < 1:
         raise GlissandoError(
@@ -210,7 +214,7 @@ def plan_motion(
 
 
 def _of_different_tendons(motions: list[Array], count: int) -> list[Array]:
-    """The first of those motions (C, S+2) in which `count` tendons do the same."""
+    """Motions (C, S+2) without those whose first `count` rows, the tendons, are duplicates."""
     first: dict[bytes, Array] = {}
     for motion in motions:
         first.setdefault(motion[:count].tobytes(), motion)
@@ -218,9 +222,10 @@ def _of_different_tendons(motions: list[Array], count: int) -> list[Array]:
 
 
 def improved(search: Search, motion: Evaluation, iterations: int) -> tuple[Search, Evaluation]:
-    """The best motion that the search leads to, at the moments it needs, and the search at these.
+    """Improve a motion; returns the search with all moments that the motion needs, and the motion.
 
-    A better motion may need moments that it was not searched at; then the search goes on.
+    An improved motion may need moments that the search did not evaluate; the search is then
+    repeated with them.
     """
     for _ in range(_ROUNDS):
         motion = search.improve(motion.control, iterations)
@@ -235,7 +240,7 @@ def _use_up(
     search: Search, best: Evaluation, iterations: int, seed: int,
     progress: Progress | None, parts: int,
 ) -> MotionPlan:  # fmt: skip
-    """Raise what the bound may be until the sampled risk is the one that is allowed."""
+    """Adjust the limit of the risk bound until the sampled risk is near the allowed one."""
     problem, delta = search.problem, search.problem.scene.delta
     allowed = _SHARE * delta
     plan: MotionPlan | None = None
@@ -262,7 +267,7 @@ def _use_up(
 
 
 def _checked(plan: MotionPlan) -> MotionPlan:
-    """The plan, if it keeps the risk and reaches its targets."""
+    """The plan; raises GlissandoError if it exceeds the risk or misses a target."""
     scene = plan.problem.scene
     for target in scene.targets:
         k = plan.problem.space.moment_at(target.time)
@@ -284,11 +289,11 @@ def _checked(plan: MotionPlan) -> MotionPlan:
 
 
 def correction_speed(problem: MotionProblem, at: Evaluation) -> float:
-    """Largest speed of a tendon's corrections, beside the plan's own, with 95 % each time, m/s.
+    """Largest tendon speed for corrections, in addition to the plan's (95 % quantile), m/s.
 
     Args:
         problem: The problem.
-        at: The motion.
+        at: The evaluated motion.
     """
     corrected, known = problem.space.corrected, at.known.corrections
     balance, by_error = at.shapes.balance, at.shapes.strain_by_error

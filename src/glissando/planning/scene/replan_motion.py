@@ -1,9 +1,9 @@
-"""Receding horizon: while a plan is followed, what is left of it is planned again and again.
+"""Receding-horizon planning: while a plan is executed, the rest of it is replanned repeatedly.
 
-What readings say of the model error changes what is still to come: where it may pass, and where
-the slides should be. Of the risk that is allowed, each part of the motion that was carried out has
-spent its own; what is left of the motion may spend the rest. Where no motion on does, the robot
-comes to rest, as fast as its actuators may stop.
+Readings change the estimate of the model error, and thus where the rest of the motion may pass and
+where the slides should be. The risk of the parts already executed is subtracted from the allowed
+risk; the rest of the motion may take what remains. If no continuation keeps this limit, the robot
+is brought to rest as fast as its actuators can stop.
 """
 
 from __future__ import annotations
@@ -31,32 +31,33 @@ from glissando.planning.scene.motion_space import motion_space
 from glissando.planning.scene.plan_motion import MotionPlan
 from glissando.planning.scene.sampled_risk import sample_risk
 
-_ITERATIONS = 5  # of the search: the plan that is followed is a good start
-_ROUNDS = 2  # of those, where the first leads to nothing that may be followed
-_SHARE = 0.9  # of the allowed risk that the search aims at
-_LEAST_RISK = 1e-4  # that a rest may have, when more than all was spent
-_BEFORE, _ROUNDING = 1e-3, 1e-6  # s
-_SLOWER = 1.0 - 1e-6  # share of a speed, so that rounding does not break a limit
-_SHORTEST = 2.0  # pieces of the plan's paths, below which what is left is not planned again
+_ITERATIONS = 5  # iterations of the search: the current plan is a good start
+_ROUNDS = 2  # rounds of these, at most, until the risk is allowed
+_SHARE = 0.9  # share of the allowed risk that the search aims at
+_LEAST_RISK = 1e-4  # risk allowed for the rest if the executed parts took more than all
+_BEFORE, _ROUNDING = 1e-3, 1e-6  # s, step of the difference for speeds; rounding of times
+_SLOWER = 1.0 - 1e-6  # factor on a speed, so that rounding does not exceed a limit
+_SHORTEST = 2.0  # pieces of the plan's paths, below which the rest is not replanned
 
 
 @dataclass
 class MotionReplanner:
-    """A loop's commands while the plan is made anew: what `MotionFollower` is for one plan.
+    """Commands for a control loop with replanning, with the interface of `MotionFollower`.
 
     All times are from the start of the first plan, s.
 
     Attributes:
         plan: The first plan.
         every: Time between two plans, s.
-        lead: How far ahead of the newest command a plan begins, s: longer than the planner takes.
-        planner: Where plans are computed; by default in the caller's own thread.
-        follower: What follows the newest plan.
-        begun: When that plan begins.
-        spent: Risk of what was carried out of the plans before it.
-        stopped: Why the robot was brought to rest before its target; empty unless it was.
-        exceeded: Why the newest plan risks more than is left; empty unless it does.
-        plans: How many plans were taken over.
+        lead: Time after the newest command at which a plan begins, s; at least the planner's
+            computing time.
+        planner: Computes the plans; by default in the caller's own thread.
+        follower: Follower of the newest plan.
+        begun: Start time of the newest plan.
+        spent: Risk of the executed parts of earlier plans.
+        stopped: Reason why the robot was brought to rest before its target; otherwise empty.
+        exceeded: Reason why the newest plan exceeds the remaining risk; otherwise empty.
+        plans: Number of plans adopted after the first.
     """
 
     plan: MotionPlan
@@ -77,7 +78,7 @@ class MotionReplanner:
         self.follower, self._next = MotionFollower(self.plan), self.every
 
     def command(self, time: float) -> Array:
-        """Values (C,) that all actuators should have come to by a time, m."""
+        """Command: values (C,) that all actuators should reach at a time, s, in m."""
         self._take_over()
         if self._due is None and time > self._next and not self.stopped:
             self._submit()
@@ -85,15 +86,15 @@ class MotionReplanner:
         return self.follower.command(time - self.begun)
 
     def at(self, time: ArrayLike) -> Array:
-        """Values (…, C) of all actuators at times up to the newest command's, m."""
+        """Commanded values (…, C) of all actuators, m, at times (…), s, as of the last command."""
         return self.follower.at(np.asarray(time, dtype=float) - self.begun)
 
     def advance(self, time: float) -> None:
-        """Let time pass without readings."""
+        """Predict the belief to a time, s, without readings."""
         self.follower.advance(time - self.begun)
 
     def add(self, readings: Readings) -> None:
-        """Take readings of a coil since the last command."""
+        """Update the belief with readings of a sensor since the last command."""
         self.follower.add(readings.changed(time=readings.time - self.begun))
 
     def _submit(self) -> None:
@@ -112,7 +113,7 @@ class MotionReplanner:
         self._due, self._next = start, self.begun + start + self.every
 
     def _take_over(self) -> None:
-        """Follow the plan that was asked for, from where it begins, if it is there in time."""
+        """Adopt the submitted plan when its start is reached, if it is ready in time."""
         due = self._due
         if due is None:
             return
@@ -145,7 +146,7 @@ class MotionReplanner:
 
 
 def _slowed(paths: Sequence[PathSpace], values: Array, speed: Array) -> Array:
-    """Speeds (C,) no faster than paths can stop from values (C,), as commands end at a limit."""
+    """Speeds (C,) reduced so that the paths can stop from values (C,) within their limits."""
     low, high, sharpest = np.array([[p.lower, p.upper, p.acceleration] for p in paths]).T
     room = np.where(speed > 0.0, high - values, values - low)
     fastest = _SLOWER * np.sqrt(2.0 * sharpest * np.maximum(room, 0.0))
@@ -153,19 +154,19 @@ def _slowed(paths: Sequence[PathSpace], values: Array, speed: Array) -> Array:
 
 
 def _even(time: float, correction: float) -> float:
-    """The time of whole corrections that is no shorter."""
+    """The time rounded up to a multiple of the correction interval."""
     return float(np.ceil(time / correction - _ROUNDING) * correction)
 
 
 @dataclass(frozen=True)
 class Continuation:
-    """What `continue_motion` finds.
+    """Result of `continue_motion`.
 
     Attributes:
-        plan: The plan to follow on; the one that is followed already, unless given.
-        spent: Risk of what was carried out of that one until then.
-        stopped: Why it comes to rest before the target; empty unless it does.
-        exceeded: Why it risks more than is left; empty unless it does.
+        plan: The new plan; None to keep the current one.
+        spent: Risk of the executed part of the current plan, up to the start of the new one.
+        stopped: Reason why the new plan comes to rest before the target; otherwise empty.
+        exceeded: Reason why the new plan exceeds the remaining risk; otherwise empty.
     """
 
     plan: MotionPlan | None
@@ -178,14 +179,14 @@ def continue_motion(
     plan: MotionPlan, start: float, state: tuple[Array, Array], belief: ErrorBelief,
     allowed: float,
 ) -> Continuation:  # fmt: skip
-    """What is left of a motion, planned anew.
+    """Replan the rest of a motion, or stop the robot if its risk would be too large.
 
     Args:
-        plan: The plan that is followed.
-        start: When the rest begins, s from the plan's start.
-        state: Values and speeds (C,) of all actuators then, m and m/s.
-        belief: What is known of the model error then.
-        allowed: Risk of all that was not carried out before this plan.
+        plan: The current plan.
+        start: Start of the rest, s from the plan's start.
+        state: Values, m, and speeds, m/s, (C,) of all actuators at `start`.
+        belief: Belief about model error and sensor errors at `start`.
+        allowed: Risk allowed from the start of the current plan on.
     """
     with one_thread():
         before = np.searchsorted(plan.problem.space.moments, start - _ROUNDING)
@@ -193,7 +194,7 @@ def continue_motion(
         left = max(allowed - spent, _LEAST_RISK)
         try:
             problem = _rest(plan.problem, start, state, belief, left)
-        except GlissandoError:  # the actuators cannot leave their paths just there
+        except GlissandoError:  # no admissible path begins at this state
             return Continuation(None, 0.0)
         search = Search(problem, _SHARE * left)
         new = _moving_on(search, plan, start, state[0])
@@ -215,7 +216,7 @@ def continue_motion(
 
 
 def _moving_on(search: Search, plan: MotionPlan, start: float, values: Array) -> MotionPlan:
-    """The rest of a plan from values (C,) of the actuators, improved until it may be followed."""
+    """Rest of a plan from values (C,) of the actuators, improved until its risk is allowed."""
     space, planned = search.problem.space, MotionFollower(plan).planned
     ahead = planned(start + space.paths[0].control_times)
     motion = search.at(space.follow((ahead + values - planned(start)).T))
@@ -238,7 +239,7 @@ def _rest(
     problem: MotionProblem, start: float, state: tuple[Array, Array], belief: ErrorBelief,
     allowed: float,
 ) -> MotionProblem:  # fmt: skip
-    """The problem of what is left of a motion."""
+    """Planning problem of the rest of a motion."""
     scene = problem.scene
     targets = [replace(t, time=t.time - start) for t in scene.targets if t.time > start]
     rest = replace(scene, targets=targets, horizon=scene.horizon - start, delta=allowed)

@@ -1,8 +1,8 @@
-"""The probability that any part of the body hits anything at any moment, jointly.
+"""Upper bound of the joint probability that any part of the body hits an obstacle at any moment.
 
-Where a clearance c is linear in the model error, c + aᵀ e with e ~ N(0, P), it is negative with
-probability Φ(−c / σ). Hits at neighbouring places and moments are nearly the same event: a hit
-counts only so far as it was not already one at a neighbour before it in a fixed order, so
+A clearance that is linear in the model error, c + aᵀ e with e ~ N(0, P), is negative with
+probability Φ(−c / σ). Hits at neighbouring places and moments are strongly correlated: in a fixed
+order of events, a hit counts only if there was no hit at one earlier neighbour, so
 
     P(any hit) ≤ Σ_i [ P(A_i) − max_j P(A_i A_j) ],
 
@@ -20,7 +20,7 @@ from scipy.special import ndtr, owens_t
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Index
 
-_LEAST = 1e-9  # probability of an event that is left out
+_LEAST = 1e-9  # probability up to which an event is neglected
 _DENSITY = 1.0 / np.sqrt(2.0 * np.pi)
 _NEAR = 1.0 - 1e-10  # correlation at most
 _BEFORE = ((0, 0, -1), (0, 0, -2), (0, -1, 0), (0, -1, -1), (0, -1, 1), (-1, 0, 0))
@@ -28,14 +28,14 @@ _BEFORE = ((0, 0, -1), (0, 0, -2), (0, -1, 0), (0, -1, -1), (0, -1, 1), (-1, 0, 
 
 @dataclass(frozen=True)
 class Clearances:
-    """Clearances on a lattice of O obstacles, K moments and N places, linear in the model error.
+    """Clearances of N places from O obstacles at K moments, linear in the model error.
 
     Attributes:
         mean: Expected clearances (O, K, N), m.
-        by_error: Their slopes (O, K, N, q) by the model error.
-        cov: Covariance (K, q, q) of the model error at each moment.
-        lagged: Covariance (K−1, q, q) of it with that of the moment after.
-        floor: Standard deviation of a place that no model error explains, m.
+        by_error: Jacobians (O, K, N, q) of the clearances by the model error.
+        cov: Covariances (K, q, q) of the model error at each moment.
+        lagged: Covariances (K−1, q, q) of the model errors at one moment and at the next.
+        floor: Standard deviation of an error common to all clearances, besides the model error, m.
     """
 
     mean: Array
@@ -45,21 +45,21 @@ class Clearances:
     floor: float
 
     def std(self) -> Array:
-        """Standard deviations (O, K, N), m."""
+        """Standard deviations (O, K, N) of the clearances, m."""
         spread = np.sum((self.by_error @ self.cov) * self.by_error, axis=-1)
         return np.asarray(np.sqrt(np.maximum(spread, 0.0) + self.floor**2))
 
 
 @dataclass(frozen=True)
 class HitBound:
-    """A bound of the probability of a hit, and its slopes.
+    """An upper bound of the probability of a hit, and its gradients.
 
     Attributes:
-        value: The bound; above 1 where hits are certain in several ways.
-        by_mean: Slope (O, K, N) by the expected clearances.
-        by_error: Slope (O, K, N, q) by their slopes.
-        by_cov: Slope (K, q, q) by the covariances.
-        by_lagged: Slope (K−1, q, q) by the lagged ones.
+        value: The bound, which may exceed 1.
+        by_mean: Gradient (O, K, N) by the expected clearances.
+        by_error: Gradient (O, K, N, q) by their Jacobians.
+        by_cov: Gradient (K, q, q) by the covariances.
+        by_lagged: Gradient (K−1, q, q) by the lagged covariances.
     """
 
     value: float
@@ -70,7 +70,7 @@ class HitBound:
 
 
 def bound_hits(clearances: Clearances) -> HitBound:
-    """A bound of the probability that any clearance is negative, jointly, with its slopes."""
+    """Upper bound of the probability that any clearance is negative, with its gradients."""
     c = clearances
     std = c.std()
     beta = c.mean / std
@@ -85,7 +85,7 @@ def bound_hits(clearances: Clearances) -> HitBound:
     a = c.by_error[tuple(events.T)]
     moment = events[:, 1]
     late = moment[own] != moment[earlier]
-    mixed = np.empty((own.size, a.shape[1]))  # covariance of the model error with the earlier
+    mixed = np.empty((own.size, a.shape[1]))  # cov(model error, earlier clearance)
     mixed[~late] = _rows(c.cov, moment[own[~late]], a[earlier[~late]])
     mixed[late] = _rows(c.lagged.mT, moment[earlier[late]], a[earlier[late]])
     shared = np.einsum("ei,ei->e", a[own], mixed) + c.floor**2
@@ -102,7 +102,7 @@ def _slopes(
     c: Clearances, events: Index, own: Index, earlier: Index, rho: Array, mixed: Array,
     value: float, b: Array, s: Array, a: Array,
 ) -> HitBound:  # fmt: skip
-    """Slopes of Σ Φ(−β_i) − Σ Φ₂(−β_own, −β_earlier; ρ)."""
+    """Gradients of Σ Φ(−β_i) − Σ Φ₂(−β_own, −β_earlier; ρ)."""
     root = np.sqrt(1.0 - rho**2)
     density = _DENSITY * np.exp(-0.5 * b**2)
     by_beta = -density
@@ -139,12 +139,12 @@ def _slopes(
 
 
 def _rows(blocks: Array, block: Index, rows: Array) -> Array:
-    """Products (E, q) of the block of each row with it."""
+    """Products (E, q) of rows (E, q) with the blocks (q, q) selected for each."""
     return (blocks[block] @ rows[..., None])[..., 0]
 
 
 def _pairs(events: Index, rank: Index) -> tuple[Index, Index]:
-    """Pairs of an event and an earlier neighbour: another obstacle, place or the moment before."""
+    """Pairs of an event and an earlier neighbour, at another obstacle, place or the last moment."""
     own, earlier = [], []
     for shift in _BEFORE:
         neighbour = events + np.array(shift)
@@ -157,7 +157,7 @@ def _pairs(events: Index, rank: Index) -> tuple[Index, Index]:
 
 
 def _best_of(own: Index, value: Array, count: int) -> Index:
-    """For each of `count` events the pair of the largest value, −1 without one."""
+    """Index (count,) of the pair with the largest value for each event; −1 without a pair."""
     best = np.full(count, -1, dtype=np.intp)
     order = np.lexsort((value, own))
     best[own[order]] = order
@@ -165,7 +165,7 @@ def _best_of(own: Index, value: Array, count: int) -> Index:
 
 
 def both_below(x: Array, y: Array, rho: Array) -> Array:
-    """P(X < x, Y < y) of standard normal numbers with correlations (E,). Source: Owen 1956."""
+    """P(X < x, Y < y) of standard normal variables with correlations (E,). Source: Owen 1956."""
     x, y = np.where(x == 0.0, 1e-12, x), np.where(y == 0.0, 1e-12, y)
     root = np.sqrt(1.0 - rho**2)
     apart = owens_t(x, (y / x - rho) / root) + owens_t(y, (x / y - rho) / root)

@@ -1,4 +1,4 @@
-"""The risk of a motion by samples of the model error, drawn jointly over time."""
+"""Risk of a motion from samples of the model error, drawn jointly over time."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from glissando.planning.scene.risk import Clearances
 from glissando.planning.scene.tendon_body import BodyShapes
 
 _SAMPLES = 4000
-_NEAR = 5.0  # standard deviations of clearance beyond which nothing is hit
-_SPACING, _PLACES = 0.25, 600  # robot radii between two places of the body; of them at most
-_CURVED = 0.2  # robot radii by which a distance may be less than its linear part says
+_NEAR = 5.0  # standard deviations of clearance beyond which hits are neglected
+_SPACING, _PLACES = 0.25, 600  # robot radii between two places of the body; places at most
+_CURVED = 0.2  # robot radii of linearised clearance below which the exact distance is computed
 
 
 def sample_risk(
     problem: MotionProblem, at: Evaluation, count: int = _SAMPLES, seed: int = 0,
     moments: int | None = None,
 ) -> tuple[float, float]:  # fmt: skip
-    """Share of sampled model errors with which anything is hit, and its standard deviation.
+    """Share of sampled model errors that lead to a hit, and its standard deviation.
 
-    The errors are drawn jointly over time. Places are linear in them, distances are not. Places are
-    so close that the balls about them are the body, but for less than a hundredth of its radius;
-    where that takes too many of them, larger balls err on the careful side.
+    The errors are drawn jointly over time. Positions are linear in them, distances are exact. The
+    places are so close that the balls about them exceed the body by less than a hundredth of its
+    radius; if that takes too many places, larger balls overestimate the risk.
 
     Args:
         problem: The problem.
-        at: The motion.
+        at: The evaluated motion.
         count: Number of samples.
-        seed: Their seed.
-        moments: How many of the first moments count; all unless given.
+        seed: Seed of the samples.
+        moments: Number of the first moments that are checked; all by default.
     """
     problem, shapes, c = at_close_places(problem, at)
     rng = np.random.default_rng(seed)
@@ -64,15 +64,15 @@ def sample_risk(
 def at_close_places(
     problem: MotionProblem, at: Evaluation
 ) -> tuple[MotionProblem, BodyShapes, Clearances]:
-    """A problem, and a motion's shapes and clearances, at places so close that all is seen."""
+    """Problem, shapes and clearances of a motion at places close enough to represent the body."""
     length = float(problem.body.arclength[-1])
     return problem.cut(at, max(_SPACING * problem.scene.robot_radius, length / _PLACES))
 
 
 def _sampled_errors(known: KnownError, count: int, rng: np.random.Generator) -> Iterator[Array]:
-    """Samples (count, q) of what the body is off by, as an error, of one moment after another.
+    """Samples (count, q) of the body's deviation, as a model error, moment by moment.
 
-    What is known changes by as much as its error does when readings come, the other way.
+    An update by readings changes the estimate by minus the change of the estimation error.
     """
     at, (correction, share) = known.corrections, known.shares
     error = rng.standard_normal((count, at.before.shape[-1])) @ half_axes(at.before[0]).T

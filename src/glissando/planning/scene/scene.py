@@ -1,6 +1,6 @@
-"""What surrounds a robot, where it should go, and what its actuators may do.
+"""Scenes: obstacles around a robot, targets of its tip, limits of its actuators.
 
-Lengths are in metres, times in seconds, all in the world frame of the robot's base.
+Lengths are in metres, times in seconds, positions in the world frame.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from glissando.planning.sliding_sensor import SlidingSensor
 
 @dataclass(frozen=True)
 class Target:
-    """A point that the tip reaches: position (3,) m, how near m, and when at the latest s."""
+    """A point that the tip should reach: position (3,), m, tolerance, m, and time, s."""
 
     position: Array
     tolerance: float
@@ -29,13 +29,13 @@ class Target:
 
 @dataclass(frozen=True)
 class SpaceZone:
-    """A part of space or of the body whose positions should be known well.
+    """A region of space or a part of the body where positions should be known accurately.
 
     Attributes:
-        center: Middle (3,) of a ball in space, m, if it is in space.
-        radius: Its radius, m.
-        arclength: Both ends of a part of the body, m, if it is along the body.
-        weight: Its share beside other zones.
+        center: Centre (3,) of a ball in space, m; None for a part of the body.
+        radius: Radius of the ball, m.
+        arclength: Lower and upper end of a part of the body, m; None for a ball.
+        weight: Weight relative to other zones.
     """
 
     center: Array | None = None
@@ -50,7 +50,7 @@ class SpaceZone:
 
 @dataclass(frozen=True)
 class Actuator:
-    """Limits of all paths of one actuator: m, m/s, m/s², and where it starts."""
+    """Limits of one actuator's position, m, speed, m/s, acceleration, m/s², and its start, m."""
 
     lower: float
     upper: float
@@ -61,13 +61,13 @@ class Actuator:
 
 @dataclass(frozen=True)
 class Weights:
-    """What a motion should be good at, beside reaching its targets at the risk that is allowed.
+    """Weights of the cost terms of a motion; targets and risk are constraints.
 
     Attributes:
-        accuracy: Variance of the tip at each target over the square of its tolerance.
-        time: Mean square distance from the target on the way over that at the start.
-        wear: Mean square speed of all actuators over their limits.
-        information: Variance in the zones over the square of the robot's radius.
+        accuracy: Weight of the tip's variance at each target over the squared tolerance.
+        time: Weight of the mean square distance from the next target over that at the start.
+        wear: Weight of the mean square speed of all actuators over their limits.
+        information: Weight of the variance in the zones over the square of the robot's radius.
     """
 
     accuracy: float = 0.0
@@ -78,24 +78,24 @@ class Weights:
 
 @dataclass(frozen=True)
 class Scene:
-    """What surrounds a robot, where it should go, and what it may do.
+    """Obstacles around a robot, targets of its tip, and limits of its actuators.
 
     Attributes:
-        obstacles: What must not be touched.
-        targets: Where the tip should go, in the order of time.
+        obstacles: Solids that the robot must not touch.
+        targets: Points that the tip should reach, in the order of time.
         robot_radius: Radius of the body, m.
-        delta: Largest probability that any part hits anything at any moment.
+        delta: Largest allowed probability that any part of the body hits an obstacle at any time.
         horizon: Duration of the motion, s.
-        tendons: Limits of each tendon.
+        tendons: Limits of each tendon's displacement.
         slides: Limits of each slide; lower and upper are arclengths of its first coil.
-        sensors: What slides on each.
-        zones: Where confidence is wanted.
-        weights: What counts.
-        model_std: Standard deviation of a clearance that no model error explains, m: one error of
-            all places, as if the robot were thicker or thinner.
-        correction: Time between two corrections of the commands by what was read, s.
-        reserve: Share of the tendons' speed that a plan leaves to corrections.
-        stroke_reserve: What a plan leaves to them at both ends of the tendons' strokes, m.
+        sensors: Sensor on each slide.
+        zones: Zones where positions should be known accurately.
+        weights: Weights of the cost terms.
+        model_std: Standard deviation of an error common to all clearances, besides the model
+            error, m, as if the robot were thicker or thinner.
+        correction: Time between two corrections of the commands by readings, s.
+        reserve: Share of the tendons' speed that a plan reserves for corrections.
+        stroke_reserve: Part at both ends of the tendons' strokes reserved for corrections, m.
     """
 
     obstacles: Sequence[Obstacle]

@@ -1,4 +1,4 @@
-"""What makes a scene one that a robot can be planned in: each mistake is a sentence."""
+"""Checks of a scene for a robot; each mistake is reported as a sentence."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from glissando.model.robot import Robot
 from glissando.planning.scene.scene import Scene
 
 _ROUNDING = 1e-9
-_LEAST_RISK = 1e-3  # of which 4,000 samples hold a few
-_OFTENEST = 0.01  # s between two corrections
-_STRETCHED = 1.2  # of its length, how far a robot reaches at most
-_PULLED = 0.02  # of its length, how far tendons are pulled where nobody says
-_NOTICED = 0.3  # of the deviation that counts, from which on what is left out is said
+_LEAST_RISK = 1e-3  # least allowed risk, at which 4,000 samples contain a few hits
+_OFTENEST = 0.01  # s, least time between two corrections
+_STRETCHED = 1.2  # largest reach of a robot over its length
+_PULLED = 0.02  # displacement of tendons over the robot's length, if none is stated
+_NOTICED = 0.3  # neglected over counted standard deviation, from which a warning is given
 
 
 def require_scene(scene: Scene, robot: Robot) -> None:
-    """Refuse a scene that is none, or none of this robot.
+    """Raise for a scene that is invalid or does not fit a robot.
 
     Args:
         scene: The scene.
         robot: The robot.
 
     Raises:
-        GlissandoError: The first mistake.
+        GlissandoError: The first mistake found.
     """
     for mistake in _mistakes(scene, robot):
         raise GlissandoError(mistake)
 
 
 def idle_obstacles(scene: Scene, robot: Robot) -> Iterator[str]:
-    """A sentence for each obstacle that no part of the robot can reach, as another unit places it.
+    """Yield a sentence for each obstacle out of the robot's reach, probably in another unit.
 
     Args:
         scene: The scene.
@@ -55,10 +55,11 @@ def idle_obstacles(scene: Scene, robot: Robot) -> Iterator[str]:
 
 
 def unsure_numbers(robot: Robot) -> str:
-    """What the risk leaves out of how surely a robot's tendons were learned; empty if hardly any.
+    """Warning of the uncertainty of learned tendon parameters, which the risk neglects; or empty.
 
     Args:
-        robot: The robot; its tip is looked at with each tendon pulled alone as far as in learning.
+        robot: The robot; its tip's uncertainty is compared with each tendon pulled alone as far as
+            in learning.
     """
     tendons = robot.tendons
     if tendons is None or not (tendons.replicates or tendons.left_open):
@@ -67,7 +68,7 @@ def unsure_numbers(robot: Robot) -> str:
     time, tip = np.arange(float(len(tendons))), np.array([robot.length])
     sure = replace(robot, tendons=replace(tendons, replicates=(), left_open=()))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FalseConfidenceWarning)  # which planning gives itself
+        warnings.simplefilter("ignore", FalseConfidenceWarning)  # planning itself issues it
         std = [predict(each, time, np.diag(reach), tip).std_position for each in (robot, sure)]
     whole, counted = (float(np.sqrt(np.mean(each**2))) for each in std)
     left = float(np.sqrt(max(whole**2 - counted**2, 0.0)))
@@ -81,7 +82,7 @@ def unsure_numbers(robot: Robot) -> str:
 
 
 def _base(robot: Robot) -> Array:
-    """Position (3,) of the base, m."""
+    """Position (3,) of the base in the world, m."""
     pose: Array = getattr(robot.prior, "base_pose", np.eye(4))
     return pose[:3, 3]
 
@@ -126,7 +127,7 @@ def _mistakes(scene: Scene, robot: Robot) -> Iterator[str]:
 
 
 def _mistakes_of_actuators(scene: Scene) -> Iterator[str]:
-    # as files count: columns of tendons from tendon_0, tables from [[slides]] 1
+    # numbered as in files: columns of tendons from tendon_0, tables [[slides]] from 1
     kinds = ("tendon", 0, scene.tendons), ("slide", 1, scene.slides)
     for name, number, a in ((n, k, a) for n, first, of in kinds for k, a in enumerate(of, first)):
         if not a.lower < a.upper:

@@ -1,6 +1,6 @@
-"""Reads scene.toml, and refuses what is missing, or most likely in another unit.
+"""Reading of scene.toml, with errors for values that are missing or probably in another unit.
 
-What no scene may be, whoever makes it, `require_scene` refuses.
+`require_scene` checks what holds for every scene, whether read from a file or not.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from glissando.planning.scene.obstacles import (
 from glissando.planning.scene.scene import Actuator, Scene, SpaceZone, Target, Weights
 from glissando.planning.sliding_sensor import SlidingSensor, sliding_sensor
 
-_FAR = 10.0  # m, beyond which a length was given in another unit
-_LIKELY = 2.0  # standard deviations of displacements, which strokes keep for corrections
-_FAST, _SHARP = 1.0, 50.0  # m/s and m/s², beyond which a unit is another
-_WIDE = 0.1  # m, of a robot's radius likewise
+_FAR = 10.0  # m, beyond which a length is taken to be in another unit
+_LIKELY = 2.0  # standard deviations of displacements reserved at the ends of strokes by default
+_FAST, _SHARP = 1.0, 50.0  # m/s and m/s², beyond which the unit is taken to be another
+_WIDE = 0.1  # m, the same for a robot's radius or a tolerance
 
 
 def read_scene(path: Path, robot: Robot) -> Scene:
-    """The scene of a file, for a robot with [tendons].
+    """Read a scene from a file, for a robot with [tendons].
 
     Args:
-        path: scene.toml.
-        robot: The robot, which says how noisy its sensors are.
+        path: Path of scene.toml.
+        robot: The robot, whose file states the noise of its sensors.
 
     Raises:
-        GlissandoError: A value is missing, impossible, or most likely in another unit.
+        GlissandoError: A value is missing, impossible, or probably in another unit.
     """
     table = read_toml(path, GlissandoError)
     if robot.tendons is None:
@@ -135,7 +135,7 @@ def _target(table: Table, horizon: float, radius: float) -> Target:
 def _tendons(
     table: Table, made: Tendons, length: float
 ) -> tuple[list[Actuator], tuple[float, float]]:
-    """Limits of the tendons, and what of their speed and strokes is left to corrections."""
+    """Limits of the tendons, and the share of speed and part of strokes, m, for corrections."""
     count = len(made)
     limits = table.subtable("tendons")
     lower, upper, start = (_each(limits, key, count, default) for key, default in
@@ -168,7 +168,7 @@ def _tendons(
 
 
 def _each(table: Table, key: str, count: int, default: float | None) -> Array:
-    """A number for all tendons, or a list with one each."""
+    """Array (count,) from a number for all tendons or a list with one for each."""
     if isinstance(table.peek(key), list):
         return table.vector(key, count, pairs=False)
     return np.full(count, table.number(key, default, positive=False))
@@ -213,7 +213,7 @@ def _zone(table: Table, length: float) -> SpaceZone:
 
 
 def _weights(table: Table, zones: list[SpaceZone]) -> Weights:
-    """What counts; confidence in zones does, where there are any."""
+    """Weights of the cost terms; by default information has one only if there are zones."""
     given = table.table("weights")
     usual = Weights(information=1.0 if zones else 0.0)
     if given is None:

@@ -1,8 +1,8 @@
-"""What is unknown of a scene's sensors: numbers beside the model error by which all readings err.
+"""Uncertain parameters of a scene's sensors, which are estimated jointly with the model error.
 
-A mount that is a little off, or that drifts, is no noise: readings repeat it. Its numbers ζ of unit
-variance, each a stationary Gauss–Markov process or a constant, are estimated with the model error,
-so a plan counts on no more than readings can tell of the body.
+The error of a mount, constant or drifting, is not white noise: all readings share it. Sensor errors
+ζ of unit variance, each a stationary Gauss–Markov process or a constant, are part of the filter's
+state, so that a plan does not overestimate the information of readings about the body.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from glissando.planning.sliding_sensor import SlidingSensor
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Sensor parameters that are estimated beside a model error, m numbers together.
+    """Sensor parameters that are estimated with a model error, m components in total.
 
     Attributes:
-        parameters: They, none of which says where or when readings were taken.
-        stated: All of the sensors, also those that are known, or left out.
-        pose: Pose (4, 4) of the body at which their slopes are taken for readings to come.
+        parameters: Estimated parameters; none of them shifts arclengths or times of readings.
+        stated: All parameters of the sensors, including known and neglected ones.
+        pose: Pose (4, 4) of the body at which future readings are linearised; None for identity.
     """
 
     parameters: tuple[SensorParameter, ...] = ()
@@ -38,19 +38,19 @@ class SensorErrors:
 
     @property
     def std(self) -> Array:
-        """Standard deviations (m,)."""
+        """Standard deviations (m,) of the parameters."""
         return np.concatenate([np.zeros(0), *(p.std for p in self.parameters)])
 
     @property
     def time_scale(self) -> Array:
-        """How long each number lasts (m,), s; infinite if it is constant."""
+        """Correlation times (m,) of the components, s; infinite for constants."""
         each = (np.full(p.std.size, p.correlation_time) for p in self.parameters)
         return np.concatenate([np.zeros(0), *each])
 
     def rows(self, sensor: SlidingSensor, time: float) -> tuple[Array, Array]:
         """Whitened rows of a coil by its pose (r, 6) and by ζ (r, m).
 
-        They are worth all its readings of a time in seconds.
+        They are scaled to the information of all readings in `time` seconds.
         """
         pose = np.eye(4) if self.pose is None else self.pose
         readings = sensor.readings(pose[None], np.zeros(1), np.zeros(1))
@@ -60,12 +60,12 @@ class SensorErrors:
         return white @ by_state[0, :, :6], white @ self.slopes(readings, at, by_state)[0]
 
     def slopes(self, readings: Readings, at: State, by_state: Array) -> Array:
-        """Slopes (M, r, m) of residuals by ζ, of readings at states (M,).
+        """Jacobians (M, r, m) of residuals by ζ, of readings at states (M,).
 
         Args:
-            readings: The readings as expected, see `expected`.
+            readings: Readings corrected by `expected`.
             at: The states.
-            by_state: Slopes (M, r, 18) of the residuals by them.
+            by_state: Jacobians (M, r, 18) of the residuals by the states.
         """
         out, ends = np.zeros((*by_state.shape[:2], self.std.size)), [0]
         for each in self.parameters:
@@ -81,19 +81,21 @@ class SensorErrors:
         return out
 
     def expected(self, readings: Readings) -> Readings:
-        """What a sensor gave, with every parameter of its own at its expected value."""
+        """Raw readings corrected by the expected values of all sensor parameters."""
         return corrected(readings, self.stated)
 
 
 def sensor_errors(
     sensors: Sequence[SlidingSensor], robot: Robot, pose: Array
 ) -> tuple[SensorErrors, list[str]]:
-    """What is unknown of a scene's sensors, and names of parameters that cannot be counted.
+    """Uncertain parameters of a scene's sensors, and names of those that must be neglected.
+
+    Parameters that shift arclengths or times of readings are neglected.
 
     Args:
         sensors: The sensors.
         robot: The robot, with its sensor parameters.
-        pose: Pose (4, 4) of the body at which slopes are taken.
+        pose: Pose (4, 4) of the body at which future readings are linearised.
     """
     streams = {sensor.name for sensor in sensors}
     stated = tuple(p for p in robot.sensor_parameters if streams & set(p.streams))

@@ -1,11 +1,11 @@
-"""A tendon robot's shapes over time, how model errors move them, and one backward pass.
+"""A tendon robot's shapes over time, their Jacobians by model errors, and a backward pass.
 
-A model error ξ has a number for each tendon, by whose standard deviation displacements differ from
-the commands, two for each piece, bending moments that the model lacks, and six for the base where
-it may stand elsewhere: what [tendons] and [base] of a robot file state, whitened. Spatial twists by
-ξ add up along the body, V(s) = Σ h Ad(T) ∂ε/∂ξ, and a place moves by V_linear + V_angular × p. The
-backward pass takes slopes by places, twists and their covariance back to the tendons' commands,
-through the second derivative of the equilibrium's energy. Source: (M5) to (M7) of docs/tendons.md.
+A model error ξ is whitened by the standard deviations in [tendons] and [base] of a robot file. It
+has one component for each tendon, the error of its displacement, two for each piece, bending
+moments that the model lacks, and six for the base if its pose is uncertain. Spatial twists by ξ add
+up along the body, V(s) = Σ h Ad(T) ∂ε/∂ξ, and a place p moves by V_linear + V_angular × p. The
+backward pass propagates gradients by places and twists to the tendons' commands, through the second
+derivative of the equilibrium's energy. Source: (M5) to (M7) of docs/tendons.md.
 """
 
 from __future__ import annotations
@@ -25,26 +25,25 @@ from glissando.model.tendons.statics import equilibrium
 from glissando.model.tendons.tendon_rod import TendonRod, tendon_rod
 from glissando.planning.scene.equilibrium_slopes import back_to_displacement
 
-_KNOWN = 0.02  # of the tendons' distance from the backbone, that a known base may move the tip
-_EASE = 1e-3  # of the largest slope of bends by displacements, below which none is corrected
+_KNOWN = 0.02  # tip motion by the base over the tendons' radius, below which the base is known
+_EASE = 1e-3  # relative singular value of the bends' Jacobian below which none is corrected
 
 BySeen = tuple[Index, Index, Array]
-"""Shapes and places by number (…,), and slopes (G, …, 6, q) of G values by their twists."""
+"""Indices (…,) of shapes and of places, and gradients (G, …, 6, q) of G values by twists there."""
 
 
 @dataclass(frozen=True)
 class TendonBody:
-    """A rod of P pieces with T tendons, and N places along it, a half-step between two.
+    """A rod of P pieces with T tendons, and N places along it.
 
-    Friction of the tendons is left to the model error, and half of their play, by which each is off
-    either way.
+    Friction and play of the tendons are not modelled; half of the play is included in `std`.
 
     Attributes:
-        rod: The rod.
-        steps: How many steps each piece (P,) is cut into, N = 1 + Σ steps.
-        time_scale: How long a model error lasts, s.
-        std: Standard deviations (T,) of what displacements differ from the commands by, m.
-        base: Root (6, b) of the covariance of the base's pose; of no columns where it is known.
+        rod: The rod, without friction and play.
+        steps: Number of steps (P,) in each piece; N = 1 + Σ steps.
+        time_scale: Correlation time of the model error, s.
+        std: Standard deviations (T,) of actual minus commanded displacements, m.
+        base: Square root (6, b) of the base pose's covariance; b = 0 if the base is known.
     """
 
     rod: TendonRod
@@ -55,12 +54,12 @@ class TendonBody:
 
     @property
     def errors(self) -> int:
-        """Number q = T + 2 P + b of a model error's components."""
+        """Number q = T + 2 P + b of components of a model error."""
         return len(self.rod.tendons) + 2 * len(self.rod.length) + self.base.shape[1]
 
     @cached_property
     def piece(self) -> Index:
-        """The piece of each step (N−1,)."""
+        """Index (N−1,) of the piece of each step."""
         return np.repeat(np.arange(self.steps.size), self.steps)
 
     @cached_property
@@ -70,21 +69,21 @@ class TendonBody:
 
     @cached_property
     def arclength(self) -> Array:
-        """The places (N,), m."""
+        """Arclengths (N,) of the places, m."""
         return np.concatenate([[0.0], np.cumsum(self.step)])
 
     @property
     def straight_std(self) -> float:
-        """Root of the total variance of the tip's position while no tendon pulls, m."""
+        """Root of the total variance of the tip's position at zero displacements, m."""
         return float(np.linalg.norm(self.shapes(np.zeros((1, len(self.rod.tendons)))).moves[0, -1]))
 
     @cached_property
     def left(self) -> Array:
-        """What tendons that keep the bends leave of a model error that is known (q, q).
+        """Matrix L (q, q), the part of a known model error that tendons cannot correct.
 
-        All of a base that stands elsewhere, and of moments as many as there are more bends than
-        tendons; of a straight body, in whose bent shapes it is much the same. Errors whose bends
-        are E and displacements whose bends are B leave (I − B B⁺) E of the bends.
+        An error of the base remains in full. Of the bends E by the other errors, displacements with
+        bends B leave (I − B B⁺) E, expressed as moments. Evaluated for the straight body, since
+        bent shapes differ little.
         """
         count, own = len(self.rod.tendons), self.errors - self.base.shape[1]
         shapes = self.shapes(np.zeros((1, count)))
@@ -98,21 +97,21 @@ class TendonBody:
 
     @property
     def moment_std(self) -> Array:
-        """Standard deviations (2 P,) of the moments that the model lacks, N m."""
+        """Standard deviations (2 P,) of the unmodelled bending moments, N m."""
         return np.sqrt(self.rod.tendons.psd_moment / np.repeat(self.rod.length, 2))
 
     def shapes(
         self, displacement: Array, error: Array | None = None, start: Array | None = None
     ) -> BodyShapes:
-        """The shapes that displacements (K, T) pull the robot into.
+        """Equilibrium shapes for given tendon displacements.
 
         Args:
-            displacement: Displacements of the tendons, m.
-            error: Model errors (K, q) that are expected; none unless given.
-            start: Strains (K, P, 6) of a similar motion, from where the search begins.
+            displacement: Displacements (K, T) of the tendons, m.
+            error: Expected model errors (K, q); None for zero.
+            start: Initial strains (K, P, 6) of the iteration, for instance of a similar motion.
 
         Raises:
-            NoShapeError: There is no static shape.
+            NoShapeError: No static equilibrium was found.
         """
         rod, base = self.rod, np.broadcast_to(self.rod.base, (len(displacement), 4, 4))
         if error is not None:
@@ -128,16 +127,17 @@ class TendonBody:
 
 
 def tendon_body(robot: Robot, spacing: float) -> TendonBody:
-    """The body of a robot file with [tendons] and a mechanical prior.
+    """Create the body of a robot with [tendons] and a mechanical prior.
 
-    Straight tendons bend a segment evenly, so a piece is a segment; helical ones need the nodes.
+    With straight tendons the bending is uniform in a segment, so a piece is a segment; helical
+    tendons need pieces between the arclength nodes.
 
     Args:
         robot: The robot.
         spacing: Largest distance between two places, m.
 
     Raises:
-        GlissandoError: The robot has no tendons or another prior.
+        GlissandoError: The robot has no tendons, or its prior is not mechanical.
     """
     tendons = robot.tendons
     rod = tendon_rod(robot, np.zeros(0) if tendons is not None and tendons.straight else None)
@@ -154,11 +154,11 @@ def tendon_body(robot: Robot, spacing: float) -> TendonBody:
 
 @dataclass(frozen=True)
 class BodyShapes:
-    """K shapes of a body; world frame.
+    """K shapes of a body in the world frame.
 
     Attributes:
         body: The body.
-        balance: The equilibria.
+        balance: The K equilibria.
         base: Poses (K, 4, 4) of the base.
     """
 
@@ -168,7 +168,7 @@ class BodyShapes:
 
     @cached_property
     def _fine(self) -> Array:
-        """Poses (K, 2N−1, 4, 4) at the places and in the middles between."""
+        """Poses (K, 2N−1, 4, 4) at the places and at the midpoints between them."""
         body, piece = self.body, np.repeat(self.body.piece, 2)
         half = (0.5 * body.rod.length / body.steps)[:, None] * self.balance.strain
         step = se3.exp(half)
@@ -194,7 +194,7 @@ class BodyShapes:
 
     @property
     def place(self) -> Array:
-        """Positions (K, N, 3), m."""
+        """Positions (K, N, 3) of the places, m."""
         return self.pose[..., :3, 3]
 
     @cached_property
@@ -213,7 +213,7 @@ class BodyShapes:
 
     @cached_property
     def twist(self) -> Array:
-        """Spatial twists (K, N, 6, q) of the places by ξ; the midpoint rule over each step."""
+        """Spatial twists (K, N, 6, q) of the places by ξ, by the midpoint rule over each step."""
         middle, by_error = self._fine[:, 1::2], self.strain_by_error[:, self.body.piece]
         out = _summed_up(self.body.step[:, None, None] * (se3.adjoint(middle) @ by_error))
         own = out.shape[-1] - self.body.base.shape[1]
@@ -227,7 +227,7 @@ class BodyShapes:
         return self.twist[..., :3, :] + _cross(self.twist[..., 3:, :], place)
 
     def body_twist_at(self, shape: Index, place: Index) -> Array:
-        """Twists (…, 6, q) by ξ, in the body frame, of places of shapes, given by number (…,)."""
+        """Twists (…, 6, q) by ξ in the body frame, at indices (…,) of shapes and of places."""
         back = self.pose[shape, place, :3, :3].mT
         angular = self.twist[shape, place, 3:]
         return np.concatenate([back @ self.moves[shape, place], back @ angular], axis=-2)
@@ -238,12 +238,12 @@ class BodyShapes:
         return self.pose[:, -1, :3, :3] @ slope
 
     def back(self, by_place: Array, by_moves: Array, by_seen: Sequence[BySeen]) -> Array:
-        """Slopes (G, K, T) by displacements, of G values whose partial slopes are given.
+        """Gradients (G, K, T) by displacements, of G values whose partial gradients are given.
 
         Args:
-            by_place: By `place` (G, K, N, 3).
-            by_moves: By `moves` (G, K, N, 3, q).
-            by_seen: By what `body_twist_at` gives.
+            by_place: Gradient (G, K, N, 3) by `place`.
+            by_moves: Gradient (G, K, N, 3, q) by `moves`.
+            by_seen: Gradients by results of `body_twist_at`, with their indices.
         """
         by_moves, by_turn, twist = by_moves.copy(), np.zeros_like(by_place), self.twist
         by_angular = np.zeros_like(by_moves)
@@ -270,9 +270,9 @@ class BodyShapes:
         return back_to_displacement(self.balance, moved, by_strain, by_strain_slope)
 
     def _back_steps(self, by_step: Array) -> tuple[Array, Array]:
-        """From slopes (G, K, N−1, 6, q) by the twists of steps to those by `strain_by_error`.
+        """Gradients by `strain_by_error`, from those (G, K, N−1, 6, q) by the twists of steps.
 
-        Also the wrenches (G, K, N−1, 6) by a spatial twist of the middles.
+        Also returns gradients (G, K, N−1, 6) by spatial twists of the midpoints, as wrenches.
         """
         middle = self._fine[:, 1::2]
         turn, place = middle[..., :3, :3], middle[..., :3, 3, None]
@@ -293,7 +293,7 @@ class BodyShapes:
         return np.add.reduceat(by_step, first, axis=axis)
 
     def _by_strain(self, wrench: Array) -> Array:
-        """Slopes (G, K, P, 6) by strain, of wrenches (G, K, 2N−1, 6) on spatial twists of poses."""
+        """Gradients (G, K, P, 6) by strain, from wrenches (G, K, 2N−1, 6) on the poses."""
         ahead = _summed_up(wrench[..., :0:-1, :, None])[..., :0:-1, :, :]
         local = (se3.adjoint(self._fine[:, :-1]).mT @ ahead)[..., 0]
         local = self._by_piece(local[..., ::2, :] + local[..., 1::2, :], axis=2)
@@ -303,7 +303,7 @@ class BodyShapes:
 
 
 def _summed_up(steps: Array) -> Array:
-    """Sums (…, N+1, 6, q) of the steps (…, N, 6, q) before each place."""
+    """Cumulative sums (…, N+1, 6, q), beginning with zero, of steps (…, N, 6, q)."""
     *lead, count, rows, columns = steps.shape
     out = np.zeros((*lead, count + 1, rows, columns))
     for n in range(count):  # several times as fast as cumsum along an axis in the middle
@@ -318,7 +318,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _summed(a: Array, b: Array) -> Array:
-    """Sums (…, 3) of the cross products of columns (…, 3, q)."""
+    """Sums (…, 3) over the q columns of the cross products of columns (…, 3, q)."""
     product = a @ b.mT
     return np.stack(
         [
