@@ -1,1 +1,1 @@
-"""Whether readings can be what they are said to be: units, clocks, frames, axes, noise."""
+"""Plausibility checks of readings: units, clocks, frames, axes, noise."""

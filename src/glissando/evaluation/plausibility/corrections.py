@@ -1,4 +1,4 @@
-"""What may have gone wrong with poses, as corrections to try: units, orders, frames, axes."""
+"""Corrections of typical mistakes in poses, to be tried: units, orders, frames, axes."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ class Correction:
     """A change of readings that undoes a mistake.
 
     Attributes:
-        check: Name of the check that a mistake of this kind belongs to.
-        cause: What probably went wrong, as the end of a sentence.
-        advice: What to do.
-        change: Takes arclengths (…), poses (…, 4, 4) in the world and the frame's pose (4, 4).
-        doubt: How much better than a likelier correction it must fit; 1 for the likeliest.
+        check: Name of the check for mistakes of this kind.
+        cause: Probable mistake, as the end of a sentence.
+        advice: Remedy, as the end of a sentence.
+        change: Maps arclengths (…), poses (…, 4, 4) in the world and the frame's pose (4, 4) to
+            corrected arclengths and poses.
+        doubt: Factor on the cost of the correction's fit; 1 for the most likely corrections.
     """
 
     check: str
@@ -42,7 +43,7 @@ _UNITS = {
     "metres, read as millimetres": 1e3,
     "metres, read as centimetres": 1e2,
 }
-_LARGE, _SMALL = 3.0, 0.1  # times what they should be: sizes that need another unit
+_LARGE, _SMALL = 3.0, 0.1  # sizes over the expected ones, beyond which other units are tried
 _CYCLES = {"[x, y, z, w] where [w, x, y, z] is read": [3, 0, 1, 2],
            "[w, x, y, z] where [x, y, z, w] is meant": [1, 2, 3, 0]}  # fmt: skip
 
@@ -50,13 +51,14 @@ _CYCLES = {"[x, y, z, w] where [w, x, y, z] is read": [3, 0, 1, 2],
 def corrections(
     length: float, reach: tuple[float, float], sizes: tuple[float, float], framed: bool
 ) -> list[Correction]:
-    """Corrections to try on a stream, or on streams of one frame, the likeliest first.
+    """Corrections to try on a stream, or on streams of one frame, the most likely first.
 
     Args:
         length: Length of the robot, m.
         reach: Least and largest arclength of the streams, m.
-        sizes: How far off their positions are, of their arclength, and their frame, of the length.
-        framed: Whether they came in a frame of their own.
+        sizes: Distance of the positions from the base over their arclength, and distance of the
+            frame's origin from the world's over the robot's length.
+        framed: Whether the streams have a frame other than the world.
     """
     return [
         *_units(sizes, framed),
@@ -68,27 +70,27 @@ def corrections(
 
 
 def _in_frame(change: Callable[[Array], Array]) -> Callable[[Array, Array, Array], Moved]:
-    """A change of poses as the sensor's file has them."""
+    """Apply a change to the poses in the stream's frame, as in its file."""
     return lambda place, pose, frame: (place, frame @ change(se3.inverse(frame) @ pose))
 
 
 def _of_frame(change: Callable[[Array], Array]) -> Callable[[Array, Array, Array], Moved]:
-    """A change of the frame's own pose."""
+    """Apply a change to the pose of the stream's frame."""
     return lambda place, pose, frame: (place, change(frame) @ se3.inverse(frame) @ pose)
 
 
 def _on_body(turn: Array) -> Callable[[Array, Array, Array], Moved]:
-    """A turn of the cross-section in which the sensor sits."""
+    """Rotate the poses in their body frame."""
     return lambda place, pose, frame: (place, pose @ turn)
 
 
 def _along(factor: float, offset: float) -> Callable[[Array, Array, Array], Moved]:
-    """A change of arclengths."""
+    """Change arclengths to factor · s + offset."""
     return lambda place, pose, frame: (factor * place + offset, pose)
 
 
 def _units(sizes: tuple[float, float], framed: bool) -> Iterator[Correction]:
-    """Units of positions and frames that are as large or as small as such a unit makes them."""
+    """Corrections of units, if positions or the frame are as large or small as the unit implies."""
     for unit, factor in _UNITS.items():
         if (sizes[0] < _LARGE) if factor < 1.0 else (sizes[0] > _SMALL):
             continue
@@ -227,7 +229,7 @@ def _axes() -> Iterator[Correction]:
 
 
 def signed_axes() -> Iterator[tuple[Array, str]]:
-    """Matrices (3, 3) that reorder and invert axes, all but the identity, and their names."""
+    """Yield signed permutation matrices (3, 3) except the identity, with names of their axes."""
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         if order != (0, 1, 2) or min(signs) < 0.0:
             matrix = np.zeros((3, 3))
@@ -237,28 +239,28 @@ def signed_axes() -> Iterator[tuple[Array, str]]:
 
 
 def scaled(pose: Array, factor: float) -> Array:
-    """Poses with positions times a factor."""
+    """Poses with positions multiplied by a factor."""
     return se3.pose(pose[..., :3, :3], factor * pose[..., :3, 3])
 
 
 def reordered(pose: Array, index: list[int]) -> Array:
-    """Poses with the numbers of their quaternions in another order."""
+    """Poses with the components of their quaternions in another order."""
     quaternion = se3.quaternion(pose[..., :3, :3])[..., index]
     return se3.pose(se3.rotation_from_quaternion(quaternion), pose[..., :3, 3])
 
 
 def placed(pose: Array, matrix: Array) -> Array:
-    """Poses with positions times a matrix."""
+    """Poses with positions multiplied by a matrix (3, 3)."""
     return se3.pose(pose[..., :3, :3], pose[..., :3, 3] @ matrix.T)
 
 
 def turned(pose: Array, matrix: Array) -> Array:
-    """Poses with positions and rotations times a rotation."""
+    """Poses in coordinates rotated by a matrix (3, 3): positions and rotations multiplied by it."""
     return se3.pose(matrix @ pose[..., :3, :3], pose[..., :3, 3] @ matrix.T)
 
 
 def mirrored(pose: Array, matrix: Array) -> Array:
-    """Poses of mirrored coordinates in right-handed ones."""
+    """Poses converted from mirrored to right-handed coordinates by a matrix (3, 3)."""
     return se3.pose(matrix @ pose[..., :3, :3] @ matrix.T, pose[..., :3, 3] @ matrix.T)
 
 

@@ -1,4 +1,4 @@
-"""The guard: every check of a session, before anything is estimated."""
+"""The guard: all plausibility checks of a session, before and after the estimate."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 
-_ROWS = 60  # of a stream that an estimate is compared with
-_FOLLOWED = 5.0  # standard deviations within which it follows half of them
-_INTERVALS = 40  # between time nodes, in the middle of which confidence is looked at
-_SWOLLEN, _FLAT = 1.5, 1.25  # times as large between time nodes as there: too much, and enough
+_ROWS = 60  # readings of a stream with which an estimate is compared
+_FOLLOWED = 5.0  # largest plausible median residual, in standard deviations
+_INTERVALS = 40  # time intervals at whose midpoints the standard deviation is checked
+_SWOLLEN, _FLAT = 1.5, 1.25  # ratio of std between and at time nodes: too large; target
 
 
 def examine(
@@ -43,25 +43,25 @@ def examine(
     window: tuple[float, float] | None = None,
     allow: Collection[str] = (),
 ) -> list[Finding]:
-    """What is implausible about readings, from the data alone.
+    """Check the plausibility of readings, from the data alone.
 
     Args:
-        robot: The robot they are believed to be of; its sensor parameters are applied.
+        robot: The robot of the readings; its sensor parameters are applied to `readings`.
         readings: Streams to estimate from.
-        truth: Streams to judge by, as they are.
-        frames: Poses T_wf (4, 4) of the frames in which streams came, by stream name.
-        window: First and last time to estimate, s, if that is to be judged, too.
-        allow: Names of checks to leave out.
+        truth: Truth streams, to which no sensor parameters are applied.
+        frames: Poses T_wf (4, 4) of the frames of streams in the world, by stream name.
+        window: First and last time to estimate, s; None to skip the check of the time grid.
+        allow: Names of checks to skip.
 
     Raises:
-        GlissandoError: A name is no check's.
+        GlissandoError: A name in `allow` is not that of a check.
     """
     require_known(allow)
     right = [corrected(r, robot.sensor_parameters) for r in readings]
     streams = Streams(
         robot, tuple(r for r in right if len(r)), tuple(t for t in truth if len(t)), frames or {}
     )
-    with np.errstate(all="ignore"):  # absurd numbers are what it looks for
+    with np.errstate(all="ignore"):  # implausible numbers may overflow
         try:
             findings = _examined(streams, window)
         except np.linalg.LinAlgError:
@@ -73,7 +73,7 @@ def examine(
 
 
 def _examined(streams: Streams, window: tuple[float, float] | None) -> list[Finding]:
-    """Every finding on a session."""
+    """All findings on a session."""
     findings = [
         *check_sampling(streams.sensors, streams.truth),
         *check_noise(streams.sensors, streams.robot.length),
@@ -90,7 +90,7 @@ def _examined(streams: Streams, window: tuple[float, float] | None) -> list[Find
 
 
 def _on_motion(streams: Streams) -> list[Finding]:
-    """Findings that take times as they are: on speeds, slides, turns, lags and shapes."""
+    """Findings that rely on the times of readings: speeds, slides, rotations, lags and shapes."""
     own = [*check_slide(streams), *check_gyros(streams)]
     lags = list(check_lag(streams))
     small = list(check_size(streams))
@@ -99,7 +99,7 @@ def _on_motion(streams: Streams) -> list[Finding]:
         poses = list(check_poses(streams)) or list(check_span(streams))
     slid = {name for f in own for name in f.streams if f.name != "gyro"}
     other = [f for f in poses if f.name not in ("shape", "base")]
-    if slid and not other:  # what a slide shows explains the rest
+    if slid and not other:  # the mistake of a slide explains the misfit of shapes
         poses = []
     poses += [f for f in small if not f.refusal]
     same = {(f.name, f.streams) for f in poses}
@@ -108,7 +108,7 @@ def _on_motion(streams: Streams) -> list[Finding]:
 
 
 def _without_echoes(findings: Sequence[Finding]) -> list[Finding]:
-    """Findings less those on noise of streams whose unit is wrong, which scatter accordingly."""
+    """Findings without those on the noise of streams in a wrong unit, which explains the noise."""
     scaled = {
         name
         for f in findings
@@ -126,18 +126,18 @@ def examine_recording(
     window: tuple[float, float],
     allow: Collection[str] = (),
 ) -> list[Finding]:
-    """What is implausible about the streams of a recording that an estimate takes.
+    """Check the plausibility of the streams of a recording to be estimated.
 
     Args:
-        recording: The recording, whose frames are known and which may allow some checks itself.
+        recording: The recording, with its frames and the checks that it skips.
         robot: The robot.
         readings: Streams to estimate from, inside the window.
-        truth: Streams to judge by, put right by known sensor parameters.
+        truth: Truth streams, corrected by sensor parameters.
         window: First and last time to estimate, s.
-        allow: Names of further checks to leave out.
+        allow: Names of further checks to skip.
 
     Raises:
-        GlissandoError: A name is no check's.
+        GlissandoError: A name is not that of a check.
     """
     switched_off = {*recording.allow, *allow}
     frames = recording.frames
@@ -150,13 +150,13 @@ def without_false_readings(
     dropped: dict[str, dict[str, int]],
     allow: Collection[str] = (),
 ) -> list[Readings]:
-    """The readings less those out of the robot's reach, which are counted.
+    """Remove readings out of the robot's reach, and count them.
 
     Args:
         robot: The robot.
         readings: Streams to estimate from.
-        dropped: Rows that are not used, counted by stream and reason; counts are added.
-        allow: Names of checks that are switched off; with "reach" all readings stay.
+        dropped: Numbers of rows not used, by stream and reason; updated in place.
+        allow: Names of checks to skip; with "reach" no reading is removed.
     """
     if "reach" in allow:
         return list(readings)
@@ -174,12 +174,12 @@ def after_estimate(
     readings: Sequence[Readings],
     sensor_parameters: Sequence[SensorParameter] = (),
 ) -> list[Finding]:
-    """What is implausible about an estimate: streams it does not follow, a coarse grid.
+    """Check the plausibility of an estimate: streams with large residuals, a coarse time grid.
 
     Args:
         posterior: The estimate.
-        readings: The streams it was estimated from.
-        sensor_parameters: Those of the robot, of which the known ones are applied.
+        readings: Streams used by the estimate.
+        sensor_parameters: Sensor parameters of the robot; the known ones are applied.
     """
     known = [parameter for parameter in sensor_parameters if parameter.known]
     findings = []
@@ -205,9 +205,9 @@ def after_estimate(
 
 
 def _swelling(posterior: Posterior) -> Iterator[Finding]:
-    """A finding on confidence that swells between time nodes.
+    """Yield a finding if the standard deviation is much larger between time nodes than at them.
 
-    What a step leaves open grows with its length cubed, so the rate that would do can be said.
+    The variance between nodes grows with the cube of the time step, which gives a sufficient rate.
     """
     nodes, arclength = posterior.grid.time, posterior.grid.arclength[1:]
     if nodes.size < 2 or not arclength.size:
@@ -219,7 +219,7 @@ def _swelling(posterior: Posterior) -> Iterator[Finding]:
         for time in (middle, nodes[first], nodes[first + 1])
     )
     share = between / np.maximum(before, after)
-    worst = share.max(axis=1)  # where it swells most, which may be where a sensor slides
+    worst = share.max(axis=1)  # at the arclength of the largest ratio, maybe of a sliding sensor
     k = int(np.argsort(worst)[worst.size // 2])
     n, swell = int(np.argmax(share[k])), float(worst[k])
     if swell <= _SWOLLEN:

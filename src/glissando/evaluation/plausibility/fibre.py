@@ -1,6 +1,6 @@
-"""Fibres against tracked bodies: cores in another order, mirrored or turned angles, radii, signs.
+"""Check of fibres against tracked bodies: order of cores, mirrored or rotated angles, radii, signs.
 
-The bends that a fibre states along the robot lead from the base to where a body should be seen.
+The bending that a fibre measures is integrated from the base, and predicts the body's position.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from glissando.model.grid import Grid
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import FbgReadings
 
-_MOMENTS = 24  # that are looked at
-_PLACES = 5  # that a fibre is read at, at the least
-_REACHED, _BEYOND = 0.3, 0.2  # of the length: nearer bodies show little; how far gratings may lack
-_OFF, _BENT = 0.05, 0.12  # of the length, of the deflection: misses that no fibre's noise makes
-_BETTER, _EVEN = 0.2, 0.8  # share of a miss that a correction leaves, and that decides between two
-_STEPS = 100  # along the body
-_MANY = 4  # cores off the centre, beyond which only turned and reversed orders are tried
+_MOMENTS = 24  # times that are compared
+_PLACES = 5  # gratings that a reading of a fibre must have, at least
+_REACHED, _BEYOND = 0.3, 0.2  # over the length: least arclength of a body; gap without gratings
+_OFF, _BENT = 0.05, 0.12  # miss beyond noise, over the length, and over the deflection
+_BETTER, _EVEN = 0.2, 0.8  # ratio of misses: correction to none; best to an earlier one, which wins
+_STEPS = 100  # integration steps along the body
+_MANY = 4  # eccentric cores, beyond which only rotated and reversed orders are tried
 
 Order = NDArray[np.intp]
-"""Numbers of rows or of cores."""
+"""Indices of rows or of cores."""
 
 
 def check_fibres(streams: Streams) -> Iterator[Finding]:
-    """Findings on fibres whose bends do not lead to where bodies are seen.
+    """Check that fibres predict the measured positions of tracked bodies.
 
     Args:
-        streams: A session.
+        streams: Streams of a session.
 
     Yields:
         Findings.
@@ -48,7 +48,7 @@ def check_fibres(streams: Streams) -> Iterator[Finding]:
 
 
 def _bodies(streams: Streams) -> list[Readings]:
-    """Bodies whose positions are known in the world, far from the base, the farthest first."""
+    """Tracked bodies with positions in the world, far from the base, the farthest first."""
     if not streams.robot.prior.fixes_base:
         return []
     unsure = {
@@ -64,7 +64,10 @@ def _bodies(streams: Streams) -> list[Readings]:
 
 
 def _compared(streams: Streams, r: FbgReadings, body: Readings) -> Finding | None:
-    """The finding that a fibre does not lead to a body, and which mistake explains that."""
+    """Finding that a fibre does not predict a body's position, with its cause; None if it does.
+
+    None also if the data do not suffice, or if no known mistake explains the difference.
+    """
     robot, length = streams.robot, streams.robot.length
     stamps = np.unique(r.time)
     moments = stamps[evenly_chosen(stamps.size, _MOMENTS)]
@@ -100,19 +103,20 @@ def _compared(streams: Streams, r: FbgReadings, body: Readings) -> Finding | Non
 
 
 def _slopes(radius: Array, angle: Array) -> Array:
-    """Slopes (C, 3) of strains of cores on stretch and two bends."""
+    """Jacobian (C, 3) of the cores' strains by extension and two curvatures."""
     return np.stack([np.ones(len(radius)), radius * np.sin(angle), -radius * np.cos(angle)], -1)
 
 
 def _inverse(radius: Array, angle: Array) -> Array:
-    """The inverse (3, C) of those slopes."""
+    """Pseudoinverse (3, C) of the Jacobian `_slopes`."""
     return np.asarray(np.linalg.pinv(_slopes(radius, angle)), dtype=float)
 
 
 def _readings_of(r: FbgReadings) -> dict[str, tuple[Array, Order]]:
-    """Ways to read a fibre by what went wrong: inverses (3, C) of slopes, orders (C,) of strains.
+    """Interpretations of a fibre by their mistake: pseudoinverse (3, C) and order (C,) of strains.
 
-    The first is as it is; of those that come to the same the likeliest comes first.
+    The first, with an empty mistake, is the stated one; of equivalent ones the likelier comes
+    first.
     """
     radius, angle = np.asarray(r.core_radius), np.asarray(r.core_angle)
     own, every = _inverse(radius, angle), np.arange(radius.size)
@@ -135,7 +139,7 @@ def _readings_of(r: FbgReadings) -> dict[str, tuple[Array, Order]]:
 
 
 def _orders(cores: Order) -> Iterator[Order]:
-    """Other orders of cores; of many only those that turn or reverse them."""
+    """Yield permutations of cores; for many cores only rotations and reversals."""
     count = cores.size
     if count <= _MANY:
         yield from (cores[list(order)] for order in permutations(range(count)))
@@ -145,13 +149,13 @@ def _orders(cores: Order) -> Iterator[Order]:
 
 
 def _bends(r: FbgReadings, rows: Order, inverse: Array, order: Order) -> tuple[Array, Array]:
-    """Places (M,) along the robot and bends (M, 2) there of one moment."""
+    """Arclengths (M,), m, and curvatures (M, 2), 1/m, from the rows of one time."""
     rows = rows[np.argsort(r.arclength[rows], kind="stable")]
     return r.arclength[rows], r.values[rows][:, order] @ inverse[1:].T
 
 
 def _end(places: Array, bends: Array, end: float) -> Array:
-    """Where (3,) bends lead from the base to an arclength, untwisted."""
+    """Position (3,) in the base frame at an arclength, by integration of curvatures, untwisted."""
     step = end / _STEPS
     middle = step * (np.arange(_STEPS) + 0.5)
     strain = np.zeros((_STEPS, 6))

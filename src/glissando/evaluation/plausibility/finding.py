@@ -1,4 +1,4 @@
-"""What a check of plausibility has to say, and the names by which checks are switched off."""
+"""Findings of the plausibility checks, and the names of the checks."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ CHECKS = {
     "speed": "motion faster than a robot moves",
     "time-unit": "times that are not in seconds",
 }
-"""Names of the checks, as `--allow` takes them, and what each finds."""
+"""Names of the checks, as for `--allow`, and the mistakes that each finds."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something implausible about readings.
+    """A finding of a plausibility check.
 
     Attributes:
-        name: The check, one of `CHECKS`; "guard" is said of the checks themselves.
-        sentence: What is wrong, the value seen, the likely cause, what to do.
-        refusal: Whether an estimate would be nonsense; otherwise it is a warning.
+        name: Name of the check, one of `CHECKS`, or "guard" for a failure of the checks themselves.
+        sentence: Message with the mistake, the value seen, the likely cause, and the remedy.
+        refusal: Whether an estimate would be meaningless and is refused; otherwise a warning.
         streams: Names of the streams concerned.
-        correction: The change that would make the readings plausible, where one was found.
+        correction: The change that would make the readings plausible; empty if none was found.
     """
 
     name: str
@@ -52,24 +52,24 @@ class Finding:
     correction: str = ""
 
     def as_json(self) -> dict[str, object]:
-        """The finding as JSON holds it."""
+        """The finding as a JSON object."""
         return {**vars(self), "streams": list(self.streams)}
 
 
 def listed(names: Sequence[str]) -> str:
-    """A few names as a text, quoted; the rest counted."""
+    """The first three names as text, quoted, and the number of further ones."""
     shown = ", ".join(repr(name) for name in names[:3])
     return shown + f" and {len(names) - 3} more" * (len(names) > 3)
 
 
 def require_known(allow: Iterable[str]) -> None:
-    """Make sure that every name is that of a check.
+    """Raise unless every name is that of a check.
 
     Args:
-        allow: Names of checks that are switched off.
+        allow: Names of checks to skip.
 
     Raises:
-        GlissandoError: One of them is not.
+        GlissandoError: A name is not that of a check.
     """
     for name in allow:
         if name not in CHECKS:
@@ -77,13 +77,14 @@ def require_known(allow: Iterable[str]) -> None:
 
 
 def refuse(findings: Sequence[Finding]) -> None:
-    """Raise for the findings that make an estimate nonsense.
+    """Raise if a finding is a refusal.
 
     Args:
-        findings: What was found.
+        findings: Findings of the checks.
 
     Raises:
-        ImplausibleError: At least one is a refusal; the sentence says how to go on regardless.
+        ImplausibleError: At least one finding is a refusal; the message names the option that
+            skips the checks.
     """
     refusals = [finding for finding in findings if finding.refusal]
     if refusals:

@@ -1,6 +1,6 @@
-"""Accelerometers against gravity and gyroscopes against the turning of tracked bodies.
+"""Checks of accelerometers against gravity, and of gyroscopes against tracked bodies' rotation.
 
-They show units, signs, axes and frames of inertial sensors that are mistaken.
+They find wrong units, signs, axes and frames of inertial sensors.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from glissando.model.evenly import evenly_chosen
 from glissando.model.sensors.accelerometer import AccelerometerReadings
 from glissando.model.sensors.readings import Readings
 
-_FEWEST = 20  # readings, or windows of turns, that say something
-_MOST = 500  # readings of a stream that are looked at
-_LIGHT = 1.0  # m/s²: a gravity below it is none
-_SIZES = 0.4, 2.5  # times gravity: what a robot that moves feels as a rule
-_ALIKE = 1.3  # times the size of a unit that a reading may be, to be named as in it
-_NEAR = 0.06  # of the robot's length within which a tracked body tilts and turns nearly as much
-_OFF, _BETTER = 0.5, 0.4  # of gravity: error that is a mistake, and share of it that a cure leaves
+_FEWEST = 20  # least number of readings, or of windows of rotation, for a check
+_MOST = 500  # readings of a stream that are used
+_LIGHT = 1.0  # m/s², gravity below which accelerometers are not checked
+_SIZES = 0.4, 2.5  # plausible range of the median specific force over gravity
+_ALIKE = 1.3  # largest ratio of the median reading to gravity in a unit, for the unit to be named
+_NEAR = 0.06  # distance over the robot's length, within which rotations of bodies are comparable
+_OFF, _BETTER = 0.5, 0.4  # RMS error over gravity of a mistake; share of it after a correction
 _UNITS = {
     1.0 / 9.80665: "g, of which each is 9.80665 m/s²",
     1e3 / 9.80665: "thousandths of g, of which each is 9.80665e-3 m/s²",
     1e3: "mm/s²",
 }
-_WINDOW = 0.16  # s over which turns are compared
-_SLOW = 0.1  # rad/s RMS below which a robot does not turn
+_WINDOW = 0.16  # s, windows over which mean rotation rates are compared
+_SLOW = 0.1  # rad/s RMS, below which a robot counts as not rotating
 _SCALES = {
     1.0: "",
     180.0 / np.pi: "degrees per second",
@@ -44,10 +44,10 @@ _SCALES = {
 
 
 def check_accelerometers(streams: Streams) -> Iterator[Finding]:
-    """Findings on accelerometers: at rest they read the reaction to gravity.
+    """Check accelerometers, which at rest measure the reaction to gravity.
 
     Args:
-        streams: A session.
+        streams: Streams of a session.
 
     Yields:
         Findings.
@@ -63,7 +63,7 @@ def check_accelerometers(streams: Streams) -> Iterator[Finding]:
 
 
 def _sized(r: Readings, weight: float) -> list[Finding]:
-    """The finding that a sensor reads far more or less than gravity."""
+    """Finding that an accelerometer's readings are far larger or smaller than gravity."""
     size = float(np.median(np.linalg.norm(r.values, axis=1)))
     if _SIZES[0] < size / weight < _SIZES[1]:
         return []
@@ -77,7 +77,7 @@ def _sized(r: Readings, weight: float) -> list[Finding]:
 
 
 def _turned(streams: Streams, r: AccelerometerReadings, weight: float) -> list[Finding]:
-    """The finding that gravity pulls the other way, or along other axes, than on a body beside."""
+    """Finding that gravity has another sign or other axes than by the tilt of a body nearby."""
     place = float(np.median(r.arclength))
     force = np.einsum("...ij,...j->...i", r.mount[..., :3, :3], r.values / weight)
     for body in streams.tracked:
@@ -104,15 +104,15 @@ def _turned(streams: Streams, r: AccelerometerReadings, weight: float) -> list[F
 
 
 def _off(seen: Array, expected: Array, axes: NDArray[np.bool_]) -> float:
-    """RMS of what forces (M, 3) differ by along the axes that are known."""
+    """RMS difference of specific forces (M, 3) along the known `axes` (M, 3)."""
     return float(np.sqrt(np.mean((seen - expected)[axes] ** 2)))
 
 
 def check_gyros(streams: Streams) -> Iterator[Finding]:
-    """Findings on gyroscopes that have a tracked body beside or around them.
+    """Check gyroscopes against tracked bodies at their place, or else anywhere on the robot.
 
     Args:
-        streams: A session.
+        streams: Streams of a session.
 
     Yields:
         Findings.
@@ -138,7 +138,10 @@ def check_gyros(streams: Streams) -> Iterator[Finding]:
 
 
 def _turns(gyro: Readings, body: Readings) -> tuple[Array, Array, Array]:
-    """Mean rates of a gyroscope (M, 3), of a body (M, 3) in its own axes, and rotations."""
+    """Mean rates (M, 3), rad/s, of a gyroscope and of a body in body axes, and its rotations.
+
+    The M windows are short; rotations (M, 3, 3) are those at their starts.
+    """
     order = np.argsort(body.time, kind="stable")
     time, rotation = body.time[order], as_poses(body)[order][:, :3, :3]
     starts = np.searchsorted(time, np.arange(time[0], time[-1], _WINDOW)).clip(0, time.size - 1)
@@ -172,7 +175,7 @@ def _integral(time: Array, values: Array) -> Array:
 def _compared(
     gyro: Readings, seen: Array, rates: Array, rotation: Array, body: str
 ) -> Finding | None:
-    """The finding that a gyroscope turns otherwise than a body at its place."""
+    """Finding that a gyroscope's rates differ from those of a body at its place, by a mistake."""
     sizes = [np.sqrt(np.mean(np.sum(each**2, axis=1))) for each in (rates, seen)]
     if len(seen) < _FEWEST or max(sizes) < _SLOW:
         return None
@@ -203,7 +206,7 @@ def _unit(scale: float) -> str:
 
 
 def _left(seen: Array, expected: Array) -> float:
-    """Share of the seen rates that the expected ones leave, up to a bias; outliers count little."""
+    """Share of the measured rates' power not explained by the expected ones, bias aside; robust."""
     error, size = seen - expected, seen - np.median(seen, axis=0)
     error = error - np.median(error, axis=0)
     square = np.sum(error**2, axis=1), np.sum(size**2, axis=1)
@@ -212,7 +215,7 @@ def _left(seen: Array, expected: Array) -> float:
 
 
 def _scale_alone(gyro: Readings, full: list[Readings]) -> Finding | None:
-    """The finding that a gyroscope turns far faster or slower than every tracked body."""
+    """Finding that a gyroscope's rates are far larger or smaller than those of tracked bodies."""
     sizes = []
     for body in full:
         seen, rates, _ = _turns(gyro, body)
@@ -234,6 +237,6 @@ def _scale_alone(gyro: Readings, full: list[Readings]) -> Finding | None:
 
 
 def _rms(rates: Array) -> float:
-    """Typical size of rates (M, 3), outliers left out."""
+    """RMS of rates (M, 3) about their median, without outliers."""
     square = np.sort(np.sum((rates - np.median(rates, axis=0)) ** 2, axis=1))
     return float(np.sqrt(square[: int(0.98 * square.size)].mean()))

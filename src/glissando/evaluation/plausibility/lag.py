@@ -1,4 +1,4 @@
-"""Streams whose motion comes later or earlier than that of the others."""
+"""Check for streams whose motion is later or earlier than that of the others."""
 
 from __future__ import annotations
 
@@ -13,27 +13,26 @@ from glissando.evaluation.plausibility.session import Streams, as_poses, weights
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
 
-_RATE = 25.0  # Hz at which motion is compared
-_SMOOTH = 5  # samples
-_FARTHEST = 0.3  # of the common time: the longest lag that is looked for
-_ALIKE = 0.75  # correlation of two streams' speeds that makes a lag of them
-_AT_ONCE = 0.9  # correlation without a lag of what moves at once
-_BETTER = 0.12  # by which it exceeds that without a lag
-_LEAST = 0.15  # s
-_AGREE = 3  # other streams, where there are so many, with which a stream has a known lag
-_ALIKE_LAGS, _MOST = 0.15, 0.6  # s by which lags of one clock differ; of a stream's lags that do
-_AGAIN = 0.3  # of a motion's correlation with itself, by which it rises again where it repeats
-_TRAVEL = 5e-3  # m: beyond, a sensor moves by itself
+_RATE = 25.0  # Hz, rate at which speeds are correlated
+_SMOOTH = 5  # samples of the moving average
+_FARTHEST = 0.3  # largest lag over the common time
+_ALIKE = 0.75  # least correlation of two streams' speeds for a lag
+_AT_ONCE = 0.9  # correlation without a lag, beyond which motions are simultaneous
+_BETTER = 0.12  # least gain of correlation by a lag
+_LEAST = 0.15  # s, smallest lag that is reported
+_AGREE = 3  # least number of other streams with a known lag, if there are as many
+_ALIKE_LAGS, _MOST = 0.15, 0.6  # s, tolerance of consistent lags; least share of consistent lags
+_AGAIN = 0.3  # rise of the autocorrelation before a lag, beyond which a motion is repetitive
+_TRAVEL = 5e-3  # m, range of arclength beyond which a sensor slides
 
 
 def check_lag(streams: Streams) -> Iterator[Finding]:
-    """Findings on clocks, from when bodies and gyroscopes move.
+    """Check clocks by cross-correlation of the speeds of bodies and gyroscopes.
 
-    Speeds do not depend on frames, so they are compared without any. Streams of the truth that are
-    late together are one clock.
+    Speeds do not depend on frames. Truth streams with a common lag are reported as one clock.
 
     Args:
-        streams: A session.
+        streams: Streams of a session.
 
     Yields:
         Findings.
@@ -53,16 +52,16 @@ def check_lag(streams: Streams) -> Iterator[Finding]:
     is_truth = np.array([any(r is t for t in streams.truth) for r, _ in signals])
     late -= np.median(late if is_truth.all() else late[~is_truth])
     if np.any(at_once & (np.abs(np.subtract.outer(late, late)) > _ALIKE_LAGS)):
-        return  # streams that surely move at once would have different clocks
+        return  # delays contradict pairs of streams that move simultaneously
     agreed = known.sum(axis=1) >= np.minimum(_AGREE, count - 1)
     agreed &= _share_alike(lags, late, known) >= _MOST
     yield from _reported(signals, late, agreed, is_truth)
 
 
 def _share_alike(lags: Array, late: Array, known: NDArray[np.bool_]) -> Array:
-    """Share (J,) of a stream's known lags that are what clocks this `late` (J,) would make.
+    """Share (J,) of each stream's known lags that are consistent with delays `late` (J,), s.
 
-    Motions of a few seconds look alike at some lag by chance, each pair at another.
+    Short motions correlate at some lag by chance, but at a different one for each pair.
     """
     alike = known & (np.abs(lags - np.subtract.outer(late, late)) < _ALIKE_LAGS)
     return np.asarray(alike.sum(axis=1) / np.maximum(known.sum(axis=1), 1))
@@ -99,7 +98,10 @@ def _late(subject: str, value: float, names: tuple[str, ...]) -> Finding:
 
 
 def _speed(r: Readings) -> tuple[Array, Array] | None:
-    """Times and speeds of a stream: its own turn rate, else how fast its axes or position move."""
+    """Times and speeds of a stream: rotation rate, else rate of its z axis or position.
+
+    None for few readings, for a sliding sensor, and for sensors without a pose or rate.
+    """
     if len(r) < 30:
         return None
     order = np.argsort(r.time, kind="stable")
@@ -119,9 +121,9 @@ def _speed(r: Readings) -> tuple[Array, Array] | None:
 
 
 def _lag(one: tuple[Array, Array], other: tuple[Array, Array]) -> tuple[float | None, bool]:
-    """By how many seconds the first comes later than the second, 0 if at once, None if unknown.
+    """Lag of the first signal behind the second, s, and whether they certainly move simultaneously.
 
-    Also whether they surely move at once.
+    The lag is 0 if none improves the correlation enough, and None if unknown.
     """
     first, last = max(one[0][0], other[0][0]), min(one[0][-1], other[0][-1])
     if last - first < 3.0:
@@ -139,24 +141,24 @@ def _lag(one: tuple[Array, Array], other: tuple[Array, Array]) -> tuple[float | 
     if scores[best] - here < max(_BETTER, 0.3 * (1.0 - here)) or abs(here) > _AT_ONCE:
         return 0.0, bool(here > _AT_ONCE)
     if max(_repetition(signal, abs(best - reach)) for signal in (a, b)) > _AGAIN:
-        return None, False  # it may as well be one motion and the next
+        return None, False  # repetitive motion: the lag is ambiguous
     return (best - reach) / _RATE, False
 
 
 def _repetition(signal: Array, lag: int) -> float:
-    """How much more a signal is like itself after a lag than at some time before that."""
+    """Rise of a signal's autocorrelation at a lag above its minimum at smaller lags."""
     own = _correlations(signal, signal, lag)[lag:]
     return float(own[-1] - own.min())
 
 
 def _correlations(a: Array, b: Array, reach: int) -> Array:
-    """Correlations (2 reach + 1,) of two signals, the first taken up to `reach` samples later."""
+    """Correlations (2 reach + 1,) of signals a, b at lags −reach … reach of the first, samples."""
     out = np.zeros(2 * reach + 1)
     count = a.size
     size = 1 << (2 * count - 1).bit_length()
 
     def total(x: Array, y: Array) -> Array:
-        """Sums of x[k + lag] y[k] over all k that both have."""
+        """Sums of x[k + lag] y[k] over all k inside both signals."""
         product = np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(y, size)), size)
         return np.concatenate([product[size - reach :], product[: reach + 1]])
 
@@ -172,7 +174,7 @@ def _correlations(a: Array, b: Array, reach: int) -> Array:
 
 
 def _delays(lags: Array, known: NDArray[np.bool_]) -> Array:
-    """How late each stream is (J,), from lags (J, J) of pairs, by medians."""
+    """Delay (J,) of each stream, s, from lags (J, J) of pairs, by iterated medians."""
     late = np.zeros(len(lags))
     for _ in range(10):
         for j in range(len(lags)):

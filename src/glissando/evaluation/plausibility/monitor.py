@@ -1,4 +1,4 @@
-"""The guard beside a live session: looks at the newest readings in a process of its own."""
+"""The guard of a live session: checks the newest readings in a separate process."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from glissando.evaluation.plausibility.finding import Finding
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 
-_SPAN = 20.0  # s of readings that are looked at
+_SPAN = 20.0  # s of the newest readings that are checked
 _ENDED = "The process that looks at the readings has ended: they are not judged any more."
 
 
 class PlausibilityMonitor:
-    """Findings on the readings of a session that goes on, each kind of finding once.
+    """Repeated plausibility checks of a running session, with one finding per check.
 
     Args:
-        robot: The robot they are of.
-        executor: Where looks are taken, a process so that they delay nothing.
-        every: Seconds of readings between looks.
+        robot: The robot of the readings.
+        executor: Runs the checks; an executor with processes, so that the session is not delayed.
+        every: Time between checks, s.
     """
 
     def __init__(self, robot: Robot, executor: Executor, *, every: float = 10.0) -> None:
@@ -34,13 +34,13 @@ class PlausibilityMonitor:
         self._looking: Future[list[Finding]] | None = None
 
     def take(self, arrived: Sequence[Readings], now: float) -> list[Finding]:
-        """Take readings, and say what the last look found that was not said before.
+        """Add readings, and return the new findings of the last check that has ended.
 
         Args:
-            arrived: Readings that came since the last call.
+            arrived: Readings since the last call.
             now: Time of the session, s.
         """
-        if self._due == np.inf:  # nobody looks any more
+        if self._due == np.inf:  # the process has ended
             return []
         for r in filter(len, arrived):
             self._streams.setdefault(r.label, []).append(r)
@@ -58,29 +58,32 @@ class PlausibilityMonitor:
             return [Finding("guard", _ENDED, False)]
 
     def last(self, now: float) -> list[Finding]:
-        """What was not said before, of the newest readings at the end of a session, looked at here.
+        """Check the newest readings at the end of a session, in the calling process.
 
         Args:
             now: Time of the session, s.
+
+        Returns:
+            Findings of checks without an earlier finding.
         """
         return self._new(examine(self._robot, self._newest(now), allow=tuple(self._reported)))
 
     def _newest(self, now: float) -> list[Readings]:
-        """A stream each, of which older readings are forgotten."""
+        """The newest readings of each stream; older ones are discarded."""
         for name, parts in self._streams.items():
             whole = reduce(lambda one, other: one.joined(other), parts)
             self._streams[name] = [whole.select(whole.time > now - _SPAN)]
         return [parts[0] for parts in self._streams.values()]
 
     def _collect(self) -> list[Finding]:
-        """New findings of a look that has ended."""
+        """New findings of the submitted check if it has ended."""
         if self._looking is None or not self._looking.done():
             return []
         looking, self._looking = self._looking, None
         return self._new(looking.result())
 
     def _new(self, findings: Sequence[Finding]) -> list[Finding]:
-        """One of each kind that was not said before, and is from now on."""
+        """First finding of each check that has not been reported; marks them as reported."""
         new = {f.name: f for f in reversed(findings) if f.name not in self._reported}
         self._reported |= new.keys()
         return list(new.values())

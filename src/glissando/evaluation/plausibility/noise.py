@@ -1,4 +1,4 @@
-"""Stated noise against the noise that is seen, in differences of readings at rest."""
+"""Check of stated noise against the noise of readings at rest, estimated from differences."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
 
-_BLOCK = 16  # rows of which the quietest are taken as rest
+_BLOCK = 16  # rows of a block; the blocks with the least noise are taken to be at rest
 _FEWEST = 4 * _BLOCK
-_TOO_SMALL = 6.0  # times below what is seen at rest: chance gives 1.6 in 10,000 blocks
-_LENGTHS = 0.06  # of a robot's length: no tracker is as noisy
-_ANGLE = 0.3  # rad, likewise
-_RATE = 20.0  # rad/s: no gyroscope is as noisy
-_FINEST = {"positions": 3e-5, "angles": 1e-4, "turn rates": 1e-5}  # no sensor's errors are smaller
-_STILL = 2.0  # times white noise, beyond which something moves
+_TOO_SMALL = 6.0  # ratio of measured to stated noise; chance gives at most 1.6 in 10,000 blocks
+_LENGTHS = 0.06  # largest plausible std of positions over the robot's length
+_ANGLE = 0.3  # rad, largest plausible std of angles
+_RATE = 20.0  # rad/s, largest plausible std of rotation rates
+_FINEST = {"positions": 3e-5, "angles": 1e-4, "turn rates": 1e-5}  # least plausible std
+_STILL = 2.0  # scatter about a line over white noise, beyond which a block is moving
 _THIRD = np.sqrt(20.0)  # std of a third difference of white noise
 
 
 def check_noise(readings: Sequence[Readings], length: float) -> Iterator[Finding]:
-    """Findings on stated standard deviations that cannot be.
+    """Check the stated standard deviations of sensors.
 
-    A stated one may exceed the white noise, since it stands for bias as well. It cannot be far
-    below the noise of a sensor at rest, nor a good part of the robot itself.
+    A stated standard deviation may exceed the white noise, since it includes bias. It cannot be far
+    below the noise of a sensor at rest, nor a considerable part of the robot's length.
 
     Args:
-        readings: Sensors; their `cov` is what is stated.
+        readings: Streams of sensors with the stated `cov`.
         length: Length of the robot, m.
 
     Yields:
@@ -65,12 +65,12 @@ def _too_large(
 
 
 def _scatter(seen: float, unit: str) -> str:
-    """The noise that is seen, as a part of a sentence, if any is."""
+    """Measured noise as part of a sentence; empty if unknown."""
     return f", while its readings at rest scatter by {seen:.3g} {unit}" if seen > 0.0 else ""
 
 
 def _parts(r: Readings, length: float) -> Iterator[tuple[str, slice, float, float]]:
-    """Parts of a reading: what it is, its rows, the largest noise it can have, the noise seen."""
+    """Yield parts of a reading: name, rows, largest plausible and measured noise (0 if unknown)."""
     if r.kind in ("pose", "coil"):
         rotation = _without_roll(r) if r.kind == "coil" else r.values[:, :3, :3]
         steps = np.swapaxes(rotation[:-1], -1, -2) @ rotation[1:]
@@ -81,11 +81,11 @@ def _parts(r: Readings, length: float) -> Iterator[tuple[str, slice, float, floa
     elif r.kind == "position":
         yield "positions", slice(0, 3), _LENGTHS * length, _at_rest(r, r.values, 0)
     elif r.kind == "gyro":
-        yield "turn rates", slice(0, 3), _RATE, 0.0  # a vibrating robot turns like white noise
+        yield "turn rates", slice(0, 3), _RATE, 0.0  # vibration looks like white noise
 
 
 def _without_roll(r: Readings) -> Array:
-    """Rotations (M, 3, 3) of a coil's axis, whose readings may be of any roll."""
+    """Rotations (M, 3, 3) of a coil's axis without roll, which is arbitrary in readings."""
     axis = r.values[:, :3, 2]
     middle = axis.mean(axis=0)
     turn = se3.least_turn(middle[None] / max(float(np.linalg.norm(middle)), 1e-12))[0]
@@ -93,12 +93,12 @@ def _without_roll(r: Readings) -> Array:
 
 
 def _at_rest(r: Readings, values: Array, order: int) -> float:
-    """Standard deviation of white noise where it is least, from third differences; 0 if unknown.
+    """Standard deviation of white noise at rest, from third differences; 0 if unknown.
 
     Args:
         r: The readings.
-        values: Numbers (M − order, C), differenced `order` times already.
-        order: How many differences were taken.
+        values: Values (M − order, C), already differenced `order` times.
+        order: Number of differences taken.
     """
     steps = np.diff(r.time)
     if len(values) < _FEWEST:

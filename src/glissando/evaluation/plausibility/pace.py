@@ -1,4 +1,4 @@
-"""A robot that hardly moves under a prior that soon forgets what a sensor read elsewhere."""
+"""Check for a robot so slow that its prior's time scale discards information of sliding sensors."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.separable import SeparablePrior
 from glissando.model.sensors.readings import Readings
 
-_FORGOTTEN = 4.0  # time scales, after which the prior knows nothing of a reading any more
-_SAME = 0.01  # of the length: readings this near along the body are at one place
-_STILL = 0.01  # of the length: a place that moves less stands still
-_TRAVERSE = 0.25  # of the length: a sensor that slides less tells little of what lies elsewhere
-_MOST = 0.95  # of the places that are read again
-_ROWS, _FEW = 500, 20  # of a stream that are looked at; returns that show something
-_A_SCALE = 15.0  # time nodes
+_FORGOTTEN = 4.0  # time scales after which a reading has no influence under the prior
+_SAME = 0.01  # distance along the body over its length, below which readings are at one place
+_STILL = 0.01  # displacement over the length, below which a place is at rest
+_TRAVERSE = 0.25  # least range of a sliding sensor over the length
+_MOST = 0.95  # share of the places read again that must be at rest
+_ROWS, _FEW = 500, 20  # readings of a stream that are used; least number of returns
+_A_SCALE = 15.0  # time nodes per time scale
 
 
 def check_pace(streams: Streams) -> Iterator[Finding]:
-    """Findings on sensors that slide on a robot much slower than its prior believes.
+    """Check sliding sensors for a robot that is much slower than its prior assumes.
 
     Args:
-        streams: A session.
+        streams: Streams of a session.
 
     Yields:
-        Findings, which refuse nothing.
+        Findings, which are warnings.
     """
     prior = streams.robot.prior
     if not isinstance(prior, SeparablePrior | MechanicalPrior):
@@ -53,9 +53,10 @@ def check_pace(streams: Streams) -> Iterator[Finding]:
 
 
 def _returns(r: Readings, after: float, length: float) -> tuple[float, float] | None:
-    """How far off (m) nearly all places were that a sensor read again, and the longest time (s).
+    """95 % quantile of the displacement, m, of places read again, and the longest time between, s.
 
-    None unless it slides, returns after more than `after` s, and finds them where they were.
+    None unless the sensor slides, returns to places after more than `after` s, and finds them at
+    rest.
     """
     rows = evenly_chosen(len(r), _ROWS)
     time, place, pose = r.time[rows], r.arclength[rows], as_poses(r)[rows]

@@ -1,4 +1,4 @@
-"""Whether tracked poses fit one shape of the robot, and which mistake explains that they do not."""
+"""Check that tracked poses fit a shape of the robot, with the mistake that explains a misfit."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from glissando.geometry.se3 import Array
 from glissando.model.evenly import evenly_chosen
 from glissando.model.quantiles import chi_square_exceedance
 
-_MISS = {False: 1.3, True: 2.5}  # typical miss in generous standard deviations, of few streams more
-_HUGE = 1e9  # beyond any miss of interest
-_FEWER = 3  # streams, which leave a shape to bend so that it almost fits
-_CHANCE = 1e-7  # with which a random bend is taken for a mistake
-_ROWS = 36  # numbers that a shape of the guard has
-_FEW = 3  # moments at which every correction is tried
-_ENOUGH = 2  # other streams that tell a shape without those that are corrected
-_CAREFUL = 48  # steps of a fit that decides
-_QUICK = 8  # steps of those fits
+_MISS = {False: 1.3, True: 2.5}  # tolerated miss in the guard's std; True for few streams
+_HUGE = 1e9  # limit of misses, to keep sums finite
+_FEWER = 3  # number of streams below which they are few, and a shape almost fits by bending
+_CHANCE = 1e-7  # probability that a random bend exceeds the limit of effort
+_ROWS = 36  # effective number of parameters of a fitted shape
+_FEW = 3  # moments at which all corrections are first tried
+_ENOUGH = 2  # number of other streams that determine a shape without the corrected ones
+_CAREFUL = 48  # iterations of a decisive fit
+_QUICK = 8  # iterations of the first fits of corrections
 _BEST = 6  # corrections that are tried at all moments
 _GROUPS = 3  # groups of streams on which corrections are tried
 
 
 @dataclass(frozen=True)
 class _Judged:
-    """How well a correction of some streams explains all of them."""
+    """Fit of all streams after a correction of some; `miss` and `effort` over their limits."""
 
     correction: Correction
     group: tuple[int, ...]
@@ -47,10 +47,10 @@ class _Judged:
 
 
 def check_poses(streams: Streams) -> Iterator[Finding]:
-    """Findings on where trackers see the robot, each alone and all together.
+    """Check that the poses of all trackers fit shapes of the robot.
 
     Args:
-        streams: A session.
+        streams: Streams of a session.
 
     Yields:
         Findings.
@@ -59,7 +59,7 @@ def check_poses(streams: Streams) -> Iterator[Finding]:
         return
     rod = Rod(streams.robot)
     _, seen = streams.moments()
-    for rounds in (ROUNDS, _CAREFUL):  # a strongly bent robot is found from a start nearer by
+    for rounds in (ROUNDS, _CAREFUL):  # strongly bent robots need more iterations
         miss, effort = _judge(rod.fit(seen, rounds), seen)
         if miss[0].max() < 1.0 and effort[0] < 1.0:
             return
@@ -67,10 +67,10 @@ def check_poses(streams: Streams) -> Iterator[Finding]:
 
 
 def _judge(fit: Fit, seen: TrackedPoses, count: int = 1) -> tuple[Array, Array]:
-    """Typical misses (count, J) and efforts (count,) of a batch of `count` times some moments.
+    """Median misses (count, J) and efforts (count,) over the moments, for `count` variants.
 
-    Both are in units of what is tolerated. An effort is that of the bends and of all misses, which
-    a random walk of curvature with generous noise exceeds with a small chance.
+    Both are relative to their limits. The effort is the cost of bends plus all misses; its limit is
+    exceeded with small probability by a random walk of curvature with the guard's noise.
     """
     unseen = np.stack([seen.weight[..., 0] == 0.0, seen.weight[..., 1:].max(-1) == 0.0], axis=-1)
     finite = np.where(np.isfinite(fit.misses), np.minimum(fit.misses, _HUGE), _HUGE)
@@ -90,7 +90,7 @@ def _judge(fit: Fit, seen: TrackedPoses, count: int = 1) -> tuple[Array, Array]:
 def _explained(
     streams: Streams, rod: Rod, seen: TrackedPoses, miss: Array, effort: float
 ) -> Finding:
-    """The finding that names what explains why the poses fit no shape."""
+    """Finding with the most likely mistake for poses that fit no shape."""
     tracked = streams.tracked
     groups = _suspects(streams, rod, seen)
     sound: list[_Judged] = []
@@ -134,7 +134,7 @@ def _subject(names: Sequence[str]) -> str:
 
 
 def _how(streams: Streams, miss: Array, effort: float) -> str:
-    """By how much the poses miss a shape, as a part of a sentence."""
+    """Size of the misfit, as part of a sentence."""
     worst = int(np.argmax(miss))
     name = streams.tracked[worst].label
     if miss[worst] < 1.0:
@@ -143,7 +143,7 @@ def _how(streams: Streams, miss: Array, effort: float) -> str:
 
 
 def _suspects(streams: Streams, rod: Rod, seen: TrackedPoses) -> list[tuple[int, ...]]:
-    """Groups of streams without which the rest fits a shape, the smallest first."""
+    """Groups of streams without which the other streams fit a shape, the smallest first."""
     tracked = streams.tracked
     groups = {(j,) for j in range(len(tracked))} | {tuple(range(len(tracked)))}
     frames = [streams.frame(r).tobytes() for r in tracked]
@@ -163,10 +163,10 @@ def _suspects(streams: Streams, rod: Rod, seen: TrackedPoses) -> list[tuple[int,
 
 
 def _tried(streams: Streams, rod: Rod, seen: TrackedPoses, group: tuple[int, ...]) -> list[_Judged]:
-    """The corrections of a group of streams that look best at first, judged by refitted shapes.
+    """Evaluate corrections of a group of streams; the best are evaluated with refitted shapes.
 
-    At first each is judged by the shapes that fit the other streams, or where these are too few to
-    tell a shape, by shapes fitted at a few moments.
+    All corrections are first ranked by their misses from shapes fitted to the other streams, or, if
+    these are too few to determine a shape, by fits at a few moments.
     """
     frame = streams.frame(streams.tracked[group[0]])
     place = seen.place[:, list(group)]
@@ -194,7 +194,7 @@ def _tried(streams: Streams, rod: Rod, seen: TrackedPoses, group: tuple[int, ...
 def _corrected(
     seen: TrackedPoses, group: tuple[int, ...], chosen: Sequence[Correction], frame: Array
 ) -> TrackedPoses:
-    """Tracked poses with each correction of a group of streams, one after the other."""
+    """Tracked poses with each correction of a group of streams, as one batch."""
     batch, columns = [], list(group)
     for correction in chosen:
         place, pose = seen.place.copy(), seen.pose.copy()

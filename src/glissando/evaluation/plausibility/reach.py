@@ -1,6 +1,6 @@
-"""Positions where the robot cannot be: out of its reach, whatever its shape, or too near its base.
+"""Check for positions out of the robot's reach, or too near its base.
 
-What is too near, as arclengths that are too small, was divided by a thousand once too often.
+Positions too near the base, and tiny arclengths, are probably in metres, but read as millimetres.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from glissando.model.priors.white_noise import BaseDensity
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 
-_SLACK = 0.15  # of the robot's length, beyond what it reaches
-_FAR = 20.0  # lengths of the robot from its base: another unit, whatever else is wrong
-_FEW = 0.2  # share of a stream that can be false readings; more is a unit or a frame
-_NEAR = 0.02  # of a sensor's arclength: only a closed loop stays nearer to the base
-_AWAY = 0.1  # of the robot's length, from where on that is asked
-_TINY = 1e-6, 1.01e-3  # of the robot's length: where no sensor sits, though one at its tip in mm
+_SLACK = 0.15  # tolerance of the reach over the robot's length
+_FAR = 20.0  # distance from the base over the robot's length, beyond which the unit is wrong
+_FEW = 0.2  # largest share of false readings in a stream; more indicate a wrong unit or frame
+_NEAR = 0.02  # least plausible distance from the base over the arclength, except for a closed loop
+_AWAY = 0.1  # least arclength over the robot's length for the previous check
+_TINY = 1e-6, 1.01e-3  # arclengths over the robot's length that indicate metres read as mm
 
 
 def check_reach(streams: Streams) -> Iterator[Finding]:
-    """Findings on false readings, with the row that is farthest off.
+    """Check for single readings out of reach; the finding names the farthest row.
 
     Args:
-        streams: A session.
+        streams: Streams of a session.
 
     Yields:
         Findings.
@@ -52,10 +52,10 @@ def check_reach(streams: Streams) -> Iterator[Finding]:
 
 
 def check_far(streams: Streams) -> Iterator[Finding]:
-    """Findings on streams that lie many times the robot's length from where its base is known.
+    """Check for streams many times the robot's length away from its known base.
 
     Args:
-        streams: A session.
+        streams: Streams of a session.
 
     Yields:
         Refusals.
@@ -79,11 +79,14 @@ def check_far(streams: Streams) -> Iterator[Finding]:
 
 
 def out_of_reach(robot: Robot, r: Readings) -> NDArray[np.bool_]:
-    """Which of a tracker's readings (M,) are false; none if they are many, or the base is free.
+    """Mask (M,) of a tracker's readings out of the robot's reach.
+
+    All false if too many are out of reach, which indicates a wrong unit or frame, or if the base
+    is free.
 
     Args:
         robot: The robot.
-        r: Readings, known sensor parameters applied.
+        r: Readings corrected by sensor parameters.
     """
     none = np.zeros(len(r), dtype=bool)
     if not len(r) or not r.tracker or weights(r)[0] == 0.0 or not robot.prior.fixes_base:
@@ -98,24 +101,24 @@ def out_of_reach(robot: Robot, r: Readings) -> NDArray[np.bool_]:
 
 
 def _base_std(robot: Robot) -> float:
-    """How far from where it is expected the robot's base may stand, m; 0 where none is stated."""
+    """Standard deviation of the position of the robot's base, m; 0 if not stated."""
     base = getattr(robot.prior, "base", None)
     var = getattr(robot.prior, "var_base", np.zeros(3)) if base is None else base.pose
-    nodes = robot.time_rate if isinstance(base, BaseDensity) else 1.0  # which know it so well each
+    nodes = robot.time_rate if isinstance(base, BaseDensity) else 1.0  # a density over time
     return float(np.sqrt(nodes * np.sum(var[:3])))
 
 
 def distance_from_base(robot: Robot, r: Readings) -> Array:
-    """Distances (M,) of a tracker's cross-section from where the robot's base is expected, m."""
+    """Distances (M,) of a tracker's cross-sections from the expected base of the robot, m."""
     base = robot.prior.rest_state(Grid(robot.arclength_nodes, [0.0])).pose[0, 0, :3, 3]
     return np.linalg.norm(as_poses(r)[:, :3, 3] - base, axis=1)
 
 
 def check_size(streams: Streams) -> Iterator[Finding]:
-    """Findings on trackers that stay at the base though they sit along the robot, or hardly do.
+    """Check for trackers whose positions stay at the base, or whose arclengths are tiny.
 
     Args:
-        streams: A session.
+        streams: Streams of a session.
 
     Yields:
         Findings; those on arclengths alone are warnings.
@@ -143,7 +146,7 @@ def check_size(streams: Streams) -> Iterator[Finding]:
 
 
 def _at_base(robot: Robot, r: Readings) -> bool:
-    """Whether a tracker that sits along the robot stays where its known base is."""
+    """Whether a tracker along the robot always stays at the known base."""
     away = r.arclength > _AWAY * robot.length
     moved = any(p.kind == "frame" and r.name in p.streams for p in robot.sensor_parameters)
     if moved or not robot.prior.fixes_base or weights(r)[0] == 0.0 or not away.any():

@@ -1,4 +1,4 @@
-"""Times of readings: units, clocks that jump or do not meet, rows that repeat."""
+"""Checks of the times of readings: units, clocks that jump or do not overlap, repeated rows."""
 
 from __future__ import annotations
 
@@ -10,26 +10,27 @@ from glissando.evaluation.plausibility.finding import Finding, listed
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
 
-_FEWEST = 8  # readings below which times say nothing
-_SLOWEST = 3.0  # s between readings of a sensor, beyond which seconds are unlikely
-_FASTEST = {True: 2.0e3, False: 4.0e4}  # Hz, of trackers and of others
-_JUMP = 30.0  # s that a clock does not skip
-_SAME = 0.1  # share of rows with the stamp of the row before
-_FROZEN = 12  # rows of one value from a sensor that is noisy otherwise
-_PLACES = 100  # of one stream that are looked at
+_FEWEST = 8  # least number of readings for a check
+_SLOWEST = 3.0  # s, median time between readings beyond which the unit is probably not seconds
+_FASTEST = {True: 2.0e3, False: 4.0e4}  # Hz, largest plausible rate of trackers (True) and others
+_JUMP = 30.0  # s, shortest step of time that is reported as a jump of a clock
+_SAME = 0.1  # largest plausible share of rows with the time and place of the row before
+_FROZEN = 12  # rows of one value from a noisy sensor that are reported
+_PLACES = 100  # places of one stream that are checked
 _UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
 
 def check_sampling(
     sensors: Sequence[Readings], truth: Sequence[Readings] = ()
 ) -> Iterator[Finding]:
-    """Findings on the times of streams, each alone and against the others.
+    """Check the times of streams, each alone and against the others.
 
-    Thresholds are limits of devices, not statistics: none is met by a sound recording.
+    Thresholds are physical limits of devices, not statistics; correct recordings stay far from
+    them.
 
     Args:
         sensors: Streams to estimate from.
-        truth: Streams to judge by.
+        truth: Truth streams.
 
     Yields:
         Findings.
@@ -55,7 +56,7 @@ def check_sampling(
 
 
 def _typical(r: Readings) -> float:
-    """Median time (s) between stamps that differ."""
+    """Median time between distinct time stamps, s."""
     steps = np.diff(np.sort(r.time))
     steps = steps[steps > 0.0]
     return float(np.median(steps)) if steps.size else 1.0
@@ -98,14 +99,14 @@ def _repeats(r: Readings) -> Iterator[Finding]:
 
 
 def _bodies(r: Readings) -> list[Readings]:
-    """A stream, or its readings of each place where it reads several at once."""
+    """The stream, or its readings at each place if it reads several places at once."""
     if not np.any(np.diff(r.time) == 0.0):
         return [r]
     return [r.select(r.arclength == place) for place in np.unique(r.arclength)[:_PLACES]]
 
 
 def _frozen(r: Readings) -> Iterator[Finding]:
-    """Whether readings of one body repeat one value for long, although they are noisy."""
+    """Yield a finding if a body's readings, otherwise noisy, repeat one value for long."""
     changed = np.any(np.diff(r.values.reshape(len(r), -1), axis=0) != 0.0, axis=1)
     if not changed.size or np.mean(changed) < 0.5:
         return
@@ -138,7 +139,10 @@ def _jumps(r: Readings) -> Iterator[Finding]:
 
 
 def _apart(streams: Sequence[Readings]) -> Iterator[Finding]:
-    """Streams whose times do not meet those of most others, the first of which are sensors."""
+    """Yield findings on streams whose times do not overlap most others', or are far shorter.
+
+    The sensors are the first of the streams.
+    """
     spans = np.array([[r.time.min(), r.time.max()] for r in streams]).reshape(-1, 2)
     if len(spans) < 2:
         return
@@ -170,6 +174,6 @@ def _apart(streams: Sequence[Readings]) -> Iterator[Finding]:
 
 
 def _overlap(a: Array, b: Array) -> float:
-    """Share of the shorter of two spans that both have."""
+    """Overlap of two time spans over the shorter one."""
     common = min(a[1], b[1]) - max(a[0], b[0])
     return float(np.clip(common / max(min(np.ptp(a), np.ptp(b)), 1e-12), 0.0, 1.0))

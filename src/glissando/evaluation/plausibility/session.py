@@ -1,4 +1,4 @@
-"""What a guard looks at: a robot, its streams, the frames they came in."""
+"""Input of the guard's checks: a robot, its streams, and the streams' frames."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 
-_MOMENTS = 12  # at which shapes are fitted
-_NEAR = 0.25  # s from a moment within which a reading counts
+_MOMENTS = 12  # times at which shapes are fitted
+_NEAR = 0.25  # s, largest distance in time of a reading that is interpolated
 
 
 @dataclass(frozen=True)
 class Streams:
-    """Streams of one session, known sensor parameters applied.
+    """Streams of one session, corrected by sensor parameters.
 
     Attributes:
         robot: The robot.
         sensors: Streams to estimate from.
-        truth: Streams to judge by.
-        frames: Poses T_wf (4, 4) of the frames that streams came in, by stream; world unless given.
+        truth: Truth streams.
+        frames: Poses T_wf (4, 4) of the frames of streams, by name; others are in the world frame.
     """
 
     robot: Robot
@@ -35,20 +35,20 @@ class Streams:
 
     @property
     def every(self) -> tuple[Readings, ...]:
-        """Sensors, then truth."""
+        """Streams of sensors, then of truth."""
         return self.sensors + self.truth
 
     @property
     def tracked(self) -> list[Readings]:
-        """Streams that see positions or orientations."""
+        """Streams of positions or orientations that are not empty."""
         return [r for r in self.every if r.tracker and len(r)]
 
     def frame(self, r: Readings) -> Array:
-        """The pose of the frame that a stream came in."""
+        """Pose (4, 4) of the frame of a stream in the world."""
         return self.frames.get(r.name, np.eye(4))
 
     def moments(self, count: int = _MOMENTS) -> tuple[Array, TrackedPoses]:
-        """Times (B,) spread over the session, and what each tracked stream saw at them."""
+        """Times (B,), s, spread over the session, and the poses of each tracked stream then."""
         tracked = self.tracked
         spans = np.array([[r.time.min(), r.time.max()] for r in tracked])
         first, last = spans[:, 0].max(), spans[:, 1].min()
@@ -60,9 +60,9 @@ class Streams:
 
 
 def poses_at(r: Readings, time: Array) -> tuple[Array, Array, Array]:
-    """Places (B,), poses (B, 4, 4) of the cross-section and weights (B, 4) of a stream at times.
+    """Arclengths (B,), poses (B, 4, 4) of cross-sections and weights (B, 4) of a stream at times.
 
-    Between two readings poses are interpolated; where none is near, weights are zero.
+    Poses are interpolated between readings; if none is near, the weights are zero.
     """
     order = np.argsort(r.time, kind="stable")
     stamps = r.time[order]
@@ -79,7 +79,7 @@ def poses_at(r: Readings, time: Array) -> tuple[Array, Array, Array]:
 
 
 def as_poses(r: Readings) -> Array:
-    """Poses (M, 4, 4) of the cross-section that a tracker reports; what it does not see is none."""
+    """Poses (M, 4, 4) of the cross-section by a tracker; components not measured are identity."""
     out = np.tile(np.eye(4), (len(r), 1, 1))
     if r.values.ndim == 2:
         out[:, :3, 3] = r.values
@@ -91,7 +91,7 @@ def as_poses(r: Readings) -> Array:
 
 
 def weights(r: Readings) -> Array:
-    """Weights (4,) of a tracker's position and of its three axes."""
+    """Weights (4,), 0 or 1, of a tracker's position and of its three axes, by its kind."""
     if r.values.ndim == 2:
         return np.array([1.0, 0.0, 0.0, 0.0])
     if r.values.shape[-1] == 3:

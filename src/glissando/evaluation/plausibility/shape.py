@@ -1,7 +1,8 @@
-"""Shapes of a robot fitted to tracked poses at single moments, independently of any prior.
+"""Shapes of a robot fitted to tracked poses at single moments, independently of its prior.
 
-A guard must not believe what it guards: shapes bend by a generic random walk of curvature, not by a
-robot file's densities, and readings count with generous weights. Many moments are fitted at once.
+The guard must not rely on the values that it checks: shapes follow a generic random walk of
+curvature instead of a robot file's densities, and readings have large generic standard deviations.
+Many moments are fitted as one batch.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.robot import Robot
 
-_KNOTS, _PIECES = 9, 12  # of strain along the robot, of its integration
-ROUNDS, _STAGES = 18, 6  # steps, in stages that trust more and more of the robot
-_AHEAD = 0.1  # of the trust, for readings beyond them
-_POSITION, _AXIS = 0.02, 0.12  # readings' std, of the length and rad; the model errs by less
-_BASE = np.repeat([0.01, 0.05], 3)  # the base's std, of the length and rad
-_AXES = np.stack([se3.hat3(-axis) for axis in np.eye(3)])  # of turns, on each body axis
+_KNOTS, _PIECES = 9, 12  # knots of strain along the robot, integration steps
+ROUNDS, _STAGES = 18, 6  # iterations, in stages that include more and more of the robot
+_AHEAD = 0.1  # factor on the weight of readings beyond the included part
+_POSITION, _AXIS = 0.02, 0.12  # std of readings, over the length and in rad; above model errors
+_BASE = np.repeat([0.01, 0.05], 3)  # std of the base, over the length and in rad
+_AXES = np.stack([se3.hat3(-axis) for axis in np.eye(3)])  # derivatives of body axes by rotation
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class TrackedPoses:
     Attributes:
         place: Arclengths (B, J), m.
         pose: Poses (B, J, 4, 4) in the world.
-        weight: Weights (B, J, 4) of the position and of each body axis; 0 if not seen.
+        weight: Weights (B, J, 4) of the position and of each body axis; 0 if not measured.
     """
 
     place: Array
@@ -38,13 +39,13 @@ class TrackedPoses:
     weight: Array
 
     def without(self, streams: list[int]) -> TrackedPoses:
-        """The same with some streams unseen."""
+        """Copy in which the weights of some streams are zero."""
         weight = self.weight.copy()
         weight[:, streams] = 0.0
         return replace(self, weight=weight)
 
     def joined(self, others: list[TrackedPoses]) -> TrackedPoses:
-        """These moments, then those of others."""
+        """Concatenate the moments of these poses and of others."""
         every = (self, *others)
         return TrackedPoses(
             *(np.concatenate([getattr(s, n) for s in every]) for n in ("place", "pose", "weight"))
@@ -53,12 +54,14 @@ class TrackedPoses:
 
 @dataclass(frozen=True)
 class Fit:
-    """Shapes fitted to sightings.
+    """Shapes fitted to tracked poses.
 
     Attributes:
-        x: Parameters (B, P) of the shapes.
-        misses: Misses (B, J, 2) of position and axes in their standard deviations; NaN unseen.
-        effort: Squared bend and base error (B,), in the generic walk's variances.
+        x: Parameters (B, P) of the shapes: error of the base, then strains at the knots.
+        misses: Residuals (B, J, 2) of position and axes in standard deviations; NaN if not
+            measured.
+        effort: Squared deviation (B,) of strains and base from rest, in the variances of the
+            generic prior.
     """
 
     x: Array
@@ -67,7 +70,7 @@ class Fit:
 
 
 class Rod:
-    """A robot as the guard knows it: its length, rest shape, base and whether it stretches."""
+    """Generic rod with a robot's length, rest shape, base and largest extension."""
 
     def __init__(self, robot: Robot, free_base: bool = False) -> None:
         self.length = robot.length
@@ -94,13 +97,13 @@ class Rod:
         return out
 
     def fit(self, seen: TrackedPoses, rounds: int = ROUNDS) -> Fit:
-        """The shapes that fit sightings best, by damped Gauss–Newton steps."""
+        """Fit shapes to tracked poses by damped Gauss–Newton steps."""
         x = np.zeros((len(seen.place), len(self.information)))
         damping = np.full(len(x), 1e-2)
         stages = np.linspace(0, rounds, _STAGES, endpoint=False).astype(int)
         scale = np.array([1.0 / (_POSITION * self.length), *[1.0 / _AXIS] * 3])
         for step in range(rounds):
-            if step in stages:  # from the base outwards: what comes next is never far off
+            if step in stages:  # from the base outwards, so that each stage starts near its fit
                 edge = 1.01 * self.length * np.sum(stages <= step) / _STAGES
                 trust = np.where(seen.place <= edge, 1.0, _AHEAD)
                 weight = seen.weight * scale * trust[..., None]
@@ -125,7 +128,7 @@ class Rod:
         return Fit(x, self.missed(pose, seen), effort)
 
     def seen_by(self, fit: Fit, seen: TrackedPoses) -> Fit:
-        """The same shapes, judged by other sightings at the same moments, which may repeat."""
+        """The same shapes with residuals of other poses at the same moments, maybe repeated."""
         times = len(seen.place) // len(fit.x)
         x = np.tile(fit.x, (times, 1))
         misses = self.missed(self._poses(x, seen.place)[0], seen)
@@ -134,7 +137,7 @@ class Rod:
     def _linearized(
         self, x: Array, seen: TrackedPoses, weight: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """Poses where streams sit, costs (B,), gradients and Hessians of the squared misses."""
+        """Poses at the streams, and costs (B,), gradients (B, P) and Hessians (B, P, P)."""
         pose, slope = self._poses(x, seen.place)
         rotation = pose[..., :3, :3]
         off = pose - seen.pose
@@ -153,7 +156,7 @@ class Rod:
         return pose, cost, gradient, turned @ jacobian + self.information
 
     def _poses(self, x: Array, place: Array) -> tuple[Array, Array]:
-        """Poses (B, J, 4, 4) at places, and their slopes (B, J, 6, P) by the parameters."""
+        """Poses (B, J, 4, 4) at arclengths (B, J), and Jacobians (B, J, 6, P) by the parameters."""
         step = self.length / _PIECES
         strain = self.rest + np.einsum("nk,bkx->bnx", self.blend, x[:, 6:].reshape(-1, _KNOTS, 6))
         pieces = se3.exp(step * strain)
@@ -181,7 +184,7 @@ class Rod:
         return pose, slope
 
     def missed(self, pose: Array, seen: TrackedPoses) -> Array:
-        """Misses (B, J, 2) of position and axes in their standard deviations; NaN where unseen."""
+        """Residuals (B, J, 2) of position and axes in standard deviations; NaN if not measured."""
         off = np.linalg.norm((pose - seen.pose)[..., :3, 3], axis=-1) / (_POSITION * self.length)
         turned = np.linalg.norm((pose - seen.pose)[..., :3, :3], axis=-2) / _AXIS
         known = seen.weight[..., 1:] > 0.0
@@ -196,7 +199,7 @@ class Rod:
 
 
 def largest_extension(robot: Robot) -> float:
-    """How far the robot's prior lets it stretch, as a strain from 0.02 to 0.5."""
+    """Standard deviation of a robot's extension by its prior, as a strain from 0.02 to 0.5."""
     psd = getattr(robot.prior, "psd_strain_arclength", None)
     if psd is None:
         return 0.1

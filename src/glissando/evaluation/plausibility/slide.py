@@ -1,4 +1,4 @@
-"""A sliding sensor against its own slide: it moves along its axis as far as the slide says."""
+"""Check of sliding sensors: their motion along their axis must equal the travel of the slide."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
 
-_TRAVEL = 5e-3  # m that a slide has to go to say something
-_STEP = 0.2  # s over which motion and travel are compared
-_DRIFT = 0.75  # terms a second of the polynomial that the robot's own motion is taken for
-_CLEAR = 0.35  # share of the motion's variance that the slide must explain, at the best
-_STD = 8.0  # standard deviations that a scale must differ from one
-_TILT = 0.12  # rad that a sensor may move off its axis
-_GOOD = 0.03  # share left unexplained below which nothing is late
-_LATE = np.arange(-1.5, 1.5001, 0.1)  # s
-_FAR = 0.03  # of the robot's length: how far a sensor that does not slide may go along its axis
-_AXIAL = 0.97  # share of its motion that is along its axis; the tip of a curled robot comes near
+_TRAVEL = 5e-3  # m, least travel of a slide for a check
+_STEP = 0.2  # s, time steps over which motion and travel are compared
+_DRIFT = 0.75  # terms per second of the polynomial that models the robot's own motion
+_CLEAR = 0.35  # least share of the motion's variance that the slide must explain
+_STD = 8.0  # standard deviations by which a scale must differ from one
+_TILT = 0.12  # rad, tolerated angle between motion and axis
+_GOOD = 0.03  # unexplained share of the motion, below which no lag is searched
+_LATE = np.arange(-1.5, 1.5001, 0.1)  # s, lags that are tried
+_FAR = 0.03  # motion along the axis over the robot's length, tolerated without a slide
+_AXIAL = 0.97  # share of the motion along the axis, beyond which a sensor slides
 
 
 @dataclass(frozen=True)
 class _SlideMotion:
-    """Motion of a sliding sensor over steps of time.
+    """Motion of a sliding sensor over M time steps.
 
     Attributes:
-        moved: Displacements (M, 3) in the world.
-        rotation: Mean rotations (M, 3, 3) during them.
-        travel: Travels (M,) of the slide, as a function of its lateness.
-        drift: Functions (M, D) of time that the robot's own motion is made of.
+        moved: Displacements (M, 3) in the world, m.
+        rotation: Rotations (M, 3, 3) in the middle of the steps.
+        travel: Travels (M,) of the slide, m, with times shifted by its assumed lag.
+        drift: Basis functions (M, D) of time for the robot's own motion.
     """
 
     moved: Array
@@ -44,9 +44,9 @@ class _SlideMotion:
     drift: Array
 
     def along(self, rotation: Array, moved: Array) -> tuple[Array, Array, float, float]:
-        """Body direction per travel (3,), its std (3,), and shares of motion left unexplained.
+        """Motion in the body frame per travel (3,), its std (3,), and two unexplained shares.
 
-        The second share is what a travel along z alone leaves.
+        The shares of the motion's variance are unexplained by the fit, and by unit motion along z.
         """
         keep = self.drift @ np.linalg.pinv(self.drift)
 
@@ -62,7 +62,7 @@ class _SlideMotion:
         ahead, behind = (
             error[3:],
             error[:-3],
-        )  # what is left of the robot's motion is no white noise
+        )  # residuals of the robot's motion are correlated
         rho = np.clip(np.sum(ahead * behind) / max(np.sum(error**2), 1e-30), 0.0, 0.95)
         cov = np.linalg.pinv(columns.T @ columns) * left / freedom * (1.0 + rho) / (1.0 - rho)
         std: Array = np.sqrt(np.diagonal(cov))
@@ -72,10 +72,10 @@ class _SlideMotion:
 
 
 def check_slide(streams: Streams) -> Iterator[Finding]:
-    """Findings on sensors whose arclength changes.
+    """Check sensors whose arclength changes, and sensors that slide at constant arclength.
 
     Args:
-        streams: A session.
+        streams: Streams of a session.
 
     Yields:
         Findings.
@@ -92,7 +92,7 @@ def check_slide(streams: Streams) -> Iterator[Finding]:
 
 
 def _unmoved(r: Readings, streams: Streams) -> Finding | None:
-    """The finding that a sensor slides along its axis although its arclength stays."""
+    """Finding that a sensor slides along its axis although its arclength is constant."""
     course = _course(r)
     if course is None:
         return None
@@ -119,7 +119,7 @@ def _unmoved(r: Readings, streams: Streams) -> Finding | None:
 
 
 def _course(r: Readings, late: float = 0.0) -> _SlideMotion | None:
-    """The course of a stream, its slide read `late` seconds earlier."""
+    """Motion of a stream, its slide's travel read `late` seconds earlier; None if too short."""
     order = np.argsort(r.time, kind="stable")
     time, place, pose = r.time[order], r.arclength[order], as_poses(r)[order]
     grid = np.arange(time[0], time[-1], _STEP)
@@ -169,7 +169,7 @@ def _judged(r: Readings, frame: Array) -> Finding | None:
 
 
 def _tilted(r: Readings, axis: Array) -> Finding:
-    """The finding that a sensor moves at an angle to its axis."""
+    """Finding that a sensor moves at an angle to its axis."""
     angle = np.degrees(np.arccos(np.clip(axis[2], -1.0, 1.0)))
     return Finding(
         "mount",
@@ -180,7 +180,7 @@ def _tilted(r: Readings, axis: Array) -> Finding:
 
 
 def _scaled(r: Readings, scale: float, std: float) -> Finding | None:
-    """The finding that travel and motion differ in scale."""
+    """Finding that travel and motion differ in scale; None if they agree."""
     if abs(scale - 1.0) < max(0.25, _STD * std):
         return None
     known = {1e3: "positions are probably in millimetres", 1e2: "positions are probably in "
@@ -197,7 +197,7 @@ def _scaled(r: Readings, scale: float, std: float) -> Finding | None:
 
 
 def _turned(r: Readings, axis: Array) -> Finding:
-    """The finding that a sensor moves along another axis than z, or backwards."""
+    """Finding that a sensor moves along another axis than z, or against it."""
     if axis[2] < -0.9:
         return Finding(
             "slide",
@@ -217,7 +217,7 @@ def _turned(r: Readings, axis: Array) -> Finding:
 
 
 def _late(r: Readings, left: float) -> Finding | None:
-    """The finding that the slide's readings come late or early."""
+    """Finding that the slide's readings lag or lead the sensor's motion; None if neither."""
     shares = np.full(_LATE.size, np.inf)
     for k, late in enumerate(_LATE):
         other = _course(r, float(late))
@@ -240,7 +240,7 @@ def _late(r: Readings, left: float) -> Finding | None:
 def _explained(
     r: Readings, course: _SlideMotion, rotation: Array, moved: Array, left: float
 ) -> Finding | None:
-    """The finding that another reading of the columns makes motion follow the slide."""
+    """Finding that another interpretation of the columns lets motion follow the slide; or None."""
     pose = se3.pose(rotation, np.zeros(3))
     tries: list[tuple[str, str, Array, Array]] = [
         ("quaternion", "the quaternions are probably [x, y, z, w]; give qw, qx, qy, qz",
@@ -257,7 +257,7 @@ def _explained(
     for check, text, turned, shifted in tries:
         judged.append((course.along(turned, shifted)[3], check, text))
     share, check, text = min(judged)
-    if not share < min(0.4 * left, 0.4):  # nor where they are not finite
+    if not share < min(0.4 * left, 0.4):  # also true for NaN
         return None
     return Finding(
         check,

@@ -1,4 +1,4 @@
-"""Lengths along the robot between tracked bodies, by their poses and by their arclengths."""
+"""Check of the lengths between tracked bodies by their poses against their arclengths."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from glissando.evaluation.plausibility.session import Streams
 from glissando.evaluation.plausibility.shape import largest_extension
 from glissando.geometry.se3 import Array
 
-_APART = 0.1, 0.36  # of the robot's length: pairs so far apart bend one way at least
-_FEWEST = 3  # pairs
+_APART = 0.1, 0.36  # range of distances over the robot's length, with nearly constant curvature
+_FEWEST = 3  # least number of pairs
 _MOMENTS = 40
-_OFF = 0.15  # from one, with what the robot stretches: no sound recording is as far off
-_STRETCHES = 2.0  # times the robot's stretch
+_OFF = 0.15  # tolerated deviation of the ratio of lengths from one, plus extension
+_STRETCHES = 2.0  # standard deviations of the robot's extension that are tolerated
 
 
 def check_span(streams: Streams) -> Iterator[Finding]:
-    """A finding on arclengths that poses contradict by one factor.
+    """Check for arclengths that differ by a common factor from the lengths between poses.
 
-    An arc of the chord c whose ends are turned by θ against each other is c θ / (2 sin θ/2) long.
+    An arc with chord c whose tangents at both ends differ by θ has length c θ / (2 sin θ/2).
 
     Args:
-        streams: A session.
+        streams: Streams of a session.
 
     Yields:
         At most one finding.

@@ -1,4 +1,4 @@
-"""Motion faster than a robot moves, and grids finer than readings could need."""
+"""Checks for motion too fast for a robot, and for time grids far finer than the readings."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 from glissando.evaluation.plausibility.finding import Finding
 from glissando.evaluation.plausibility.session import Streams, as_poses, weights
 
-_NEAR = 0.1  # of the length: readings farther apart along the robot do not show its speed
-_SPEED = 6.0  # robot lengths a second, half of the time
-_TURN = 30.0  # rad/s, half of the time
-_NODES = 8.0  # time nodes for each time at which something was read
-_MANY = 1500  # time nodes that are cheap, whatever was read
+_NEAR = 0.1  # largest distance along the robot over its length, of readings used for speeds
+_SPEED = 6.0  # robot lengths per second, largest plausible median speed
+_TURN = 30.0  # rad/s, largest plausible median rotation rate
+_NODES = 8.0  # largest plausible number of time nodes per time of readings
+_MANY = 1500  # time nodes that are always accepted
 
 
 def check_speed(streams: Streams) -> Iterator[Finding]:
-    """Findings on trackers that see half of all motion faster than a robot moves.
+    """Check the median speed and rotation rate of trackers.
 
     Args:
-        streams: A session.
+        streams: Streams of a session.
 
     Yields:
         Findings.
@@ -55,10 +55,10 @@ def check_speed(streams: Streams) -> Iterator[Finding]:
 
 
 def check_grid(streams: Streams, window: tuple[float, float]) -> Iterator[Finding]:
-    """A finding on a grid with far more time nodes than there are times of readings.
+    """Check for a grid with far more time nodes than times of readings.
 
     Args:
-        streams: A session.
+        streams: Streams of a session.
         window: First and last time to estimate, s.
 
     Yields:
