@@ -1,1 +1,1 @@
-"""Errors against truth, and whether confidence is true."""
+"""Evaluation of estimates: errors against truth, and consistency of the stated covariance."""

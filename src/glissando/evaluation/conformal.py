@@ -1,8 +1,8 @@
-"""Guarantees that need no model: a tube of whole blocks, and sets for the next reading online.
+"""Model-free guarantees: a tube for blocks of time, and prediction sets for the next reading.
 
 Split conformal prediction scores blocks of held-out truth by the largest normalised error at any
-place; the tube is as wide as the right one of these scores. Online, adaptive conformal inference
-widens and narrows sets so that their long-run miss rate is bounded for any data whatever.
+place; the width of the tube is a quantile of these scores. Online, adaptive conformal inference
+widens and narrows sets so that their long-run miss rate is bounded for any data.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from glissando.evaluation.metrics import Errors
 from glissando.geometry.se3 import Array
 from glissando.model.tube import Tube
 
-_ROUNDING = 1e-6  # of a block, by which its last sample may come early
-_REMEMBERED = 500  # scores that an adaptive set looks back on
+_ROUNDING = 1e-6  # share of a block by which its last sample may be early
+_REMEMBERED = 500  # most recent scores, from which the quantile of an adaptive set is taken
 
 
 def require_tube(seconds: float, level: float = 0.95) -> None:
-    """Raise GlissandoError unless blocks can have this length, s, and a tube this level."""
+    """Raise GlissandoError unless the length of blocks, s, and the level of a tube are valid."""
     if not (math.isfinite(seconds) and seconds >= 0.0):
         raise GlissandoError(f"Blocks of {seconds:g} s cannot be; give 0 s or more.")
     if not 0.0 < level < 1.0:
@@ -32,14 +32,14 @@ def require_tube(seconds: float, level: float = 0.95) -> None:
 
 
 def block_scores(errors: Sequence[Errors], seconds: float) -> Array:
-    """Largest position error (B,) of each block of time, over all samples and sites.
+    """Largest normalised position error (B,) in each block of time, over all samples and sites.
 
-    Errors are in standard deviations of the estimate alone, as the tube that holds them is drawn.
+    Errors are in standard deviations of the estimate, without the noise of truth, as the tube is.
 
     Args:
         errors: Errors of each site.
-        seconds: Length of a block, s; blocks without truth are left out, and the rest at the end
-            that fills none. 0 makes every time one.
+        seconds: Length of a block, s. Blocks without truth and an incomplete last block are left
+            out. 0 makes each sample time a block.
 
     Raises:
         GlissandoError: The length is negative or not finite.
@@ -65,17 +65,17 @@ def block_scores(errors: Sequence[Errors], seconds: float) -> Array:
 
 
 def conformal_tube(scores: Array, seconds: float, level: float = 0.95) -> Tube:
-    """The narrowest tube that split conformal prediction promises a level for.
+    """The narrowest tube for which split conformal prediction guarantees a level.
 
     Its width is the ⌈(B + 1) level⌉-th smallest of B scores.
 
     Args:
-        scores: Scores (B,) of blocks that nothing was learned from.
+        scores: Scores (B,) of held-out blocks, from which nothing was learned.
         seconds: Length of a block, s.
-        level: Probability that a further block lies wholly inside.
+        level: Probability that a further block lies entirely inside the tube.
 
     Raises:
-        GlissandoError: The length or the level is none, or there are too few blocks for it.
+        GlissandoError: The length or level is invalid, or there are too few blocks for the level.
     """
     require_tube(seconds, level)
     needed = math.ceil(round((scores.size + 1) * level, 9))
@@ -89,25 +89,25 @@ def conformal_tube(scores: Array, seconds: float, level: float = 0.95) -> Tube:
 
 
 def inside_tube(tube: Tube, scores: Array) -> float:
-    """Share of blocks, scores (B,), that lie wholly inside a tube."""
+    """Share of blocks with scores (B,) that lie entirely inside a tube."""
     return float(np.mean(scores <= tube.sigmas))
 
 
 class AdaptiveSet:
-    """Sets for the next score of a stream whose long-run miss rate is bounded for any data.
+    """Prediction sets for the next score of a stream, with bounded long-run miss rate.
 
-    The set holds scores up to a quantile of those of late. After a miss the next set is wider,
-    else narrower: α ← α + γ (1 − level − missed). After T scores the miss rate differs from
-    1 − level by less than `bound`, for whatever comes, corrupted or adversarial. Source: Gibbs and
-    Candès, *Adaptive Conformal Inference Under Distribution Shift* (NeurIPS 2021), Proposition 4.1.
+    A set contains scores up to a quantile of recent ones. After a miss the next set is wider, else
+    narrower: α ← α + γ (1 − level − missed). After T scores the miss rate differs from 1 − level by
+    at most `bound`, for any data, even corrupted or adversarial. Source: Gibbs and Candès,
+    *Adaptive Conformal Inference Under Distribution Shift* (NeurIPS 2021), Proposition 4.1.
     """
 
     def __init__(self, level: float = 0.95, rate: float = 0.02) -> None:
-        """Begin without scores.
+        """Start without scores.
 
         Args:
-            level: Share of scores that sets should hold in the long run.
-            rate: γ, how fast sets adapt.
+            level: Share of scores that sets should contain in the long run.
+            rate: Step size γ of the adaptation.
 
         Raises:
             GlissandoError: The level or the rate lies outside (0, 1).
@@ -122,7 +122,7 @@ class AdaptiveSet:
 
     @property
     def threshold(self) -> float:
-        """The largest score in the next set: infinite for all scores, −inf for none."""
+        """Largest score in the next set: inf if it contains all scores, −inf if none."""
         if self._miss_level <= 0.0:
             return math.inf
         if self._miss_level >= 1.0:
@@ -131,9 +131,9 @@ class AdaptiveSet:
         return self._ordered[rank - 1] if rank <= len(self._ordered) else math.inf
 
     def update(self, score: float) -> bool:
-        """Take the next score; returns whether its set missed it.
+        """Add the next score, and return whether its set missed it.
 
-        NaN is a miss of finite sets, and every score one of a set that holds nothing.
+        NaN is missed by every set with a finite threshold; an empty set misses every score.
         """
         threshold = self.threshold
         missed = threshold == -math.inf or not (threshold == math.inf or score <= threshold)
@@ -149,12 +149,12 @@ class AdaptiveSet:
 
     @property
     def miss_rate(self) -> float:
-        """Share of scores that were missed; NaN before the first."""
+        """Share of scores that were missed; NaN before the first score."""
         return self.misses / self.count if self.count else math.nan
 
     @property
     def bound(self) -> float:
-        """By how much the miss rate can differ from 1 − level at most, after so many scores."""
+        """Largest possible difference of the miss rate from 1 − level, after `count` scores."""
         if not self.count:
             return math.inf
         return (max(self.level, 1.0 - self.level) + self.rate) / (self.rate * self.count)

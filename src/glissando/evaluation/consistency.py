@@ -1,7 +1,7 @@
-"""Whether confidence is true: normalised errors and coverage, with their bounds if it is.
+"""Consistency of an estimate: NEES and coverage, with their bounds for a true covariance.
 
-Neighbouring errors are correlated, so a thousand samples may be worth ten. All bounds are for the
-effective number of samples, see `effective_samples`.
+Neighbouring errors are correlated, so a thousand samples may be worth ten independent ones. All
+bounds are for the effective number of samples, see `effective_samples`.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.short_repr import ShortRepr
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
-"""Nominal coverages that are reported."""
+"""Nominal coverages in reports."""
 
 
 @dataclass(frozen=True)
 class Consistency(ShortRepr):
-    """Normalised errors of one quantity at one site, or at all of them.
+    """Normalised errors of one quantity at one site, or at all sites.
 
     Attributes:
         site: Name of the stream, or 'all'.
         arclength: Mean arclength of the site, m; NaN for all sites.
-        quantity: 'position', 'rotation' or 'innovation'.
+        quantity: 'position', 'rotation', 'innovation', or the kind of prediction of `leave_out`.
         nees: Squared errors (M,) in units of their covariance.
-        dof: Degrees of freedom of each.
-        effective: Number of independent samples that they are worth.
+        dof: Degrees of freedom of each squared error.
+        effective: Effective number of independent samples.
     """
 
     site: str
@@ -49,11 +49,11 @@ class Consistency(ShortRepr):
 
     @property
     def mean(self) -> float:
-        """Mean NEES per degree of freedom; 1 when confidence is true."""
+        """Mean NEES per degree of freedom; its expectation is 1 if the covariance is true."""
         return float(np.mean(self.nees)) / self.dof
 
     def mean_bounds(self, level: float = 0.95) -> tuple[float, float]:
-        """Two-sided χ² bounds of the mean, which hold with probability `level` if it is true."""
+        """Two-sided χ² bounds of `mean`, kept with probability `level` for a true covariance."""
         _require_share(level)
         freedom = self.effective * self.dof
         tail = 0.5 * (1.0 - level)
@@ -61,12 +61,12 @@ class Consistency(ShortRepr):
         return float(low), float(high)
 
     def coverage(self, nominal: float) -> float:
-        """Share of samples inside the ellipsoid that should hold a share `nominal` below 1."""
+        """Share of samples inside the ellipsoid of nominal coverage `nominal`, in (0, 1)."""
         _require_share(nominal)
         return float(np.mean(self.nees <= chi_square_quantile(nominal, self.dof)))
 
     def coverage_bounds(self, nominal: float, level: float = 0.95) -> tuple[float, float]:
-        """Bounds of the coverage, which hold with probability `level` or more if it is true."""
+        """Bounds of `coverage`, kept with probability ≥ `level` for a true covariance."""
         _require_share(nominal)
         _require_share(level)
         count = max(1, round(self.effective))
@@ -76,14 +76,14 @@ class Consistency(ShortRepr):
 
     @property
     def verdict(self) -> str:
-        """'true', or 'overconfident' or 'underconfident' where the mean is outside its bounds."""
+        """'true' if the mean is within its bounds, else 'overconfident' or 'underconfident'."""
         low, high = self.mean_bounds()
         if self.mean > high:
             return "overconfident"
         return "underconfident" if self.mean < low else "true"
 
     def as_json(self) -> dict[str, Any]:
-        """The statistics with their bounds, as JSON holds them."""
+        """The statistics with their bounds, as a JSON object."""
         levels = {
             f"{level:g}": {
                 "share": self.coverage(level),
@@ -112,7 +112,8 @@ def _require_share(share: float) -> None:
 def check(errors: Sequence[Errors]) -> list[Consistency]:
     """Consistency of position and rotation at every site, then of all sites together.
 
-    Errors of different sites are correlated, so all sites together count as one of them on average.
+    Errors of different sites are correlated, so all sites together have the mean effective number
+    of samples of a site.
 
     Args:
         errors: Errors of each site.
@@ -139,8 +140,8 @@ def check_readings(
 
     Args:
         posterior: The estimate.
-        readings: The streams it was estimated from. Outliers count, whatever the stream's loss.
-        sensor_parameters: Those of the robot, of which the known ones are applied.
+        readings: Streams used by the estimate. Outliers count in full, whatever the stream's loss.
+        sensor_parameters: Sensor parameters of the robot; the known ones are applied.
     """
     known = [parameter for parameter in sensor_parameters if parameter.known]
     return [

@@ -1,4 +1,4 @@
-"""How many independent samples correlated ones are worth."""
+"""Effective number of independent samples of correlated series."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import numpy as np
 
 from glissando.geometry.se3 import Array
 
-_CHANCE = 4.0  # over the number of values: what squares of two correlations sum to by chance
-_LONGEST = 0.9  # of the series: lags beyond are of too few pairs
+_CHANCE = 4.0  # sum of two squared correlations attributed to chance, times the number of values
+_LONGEST = 0.9  # longest lag over the length of the series; longer ones have too few pairs
 
 
 def effective_samples(values: Array) -> float:
-    """Number of independent samples that a series (M,) is worth, from 1 to M.
+    """Effective number of independent samples of a series (M,), from 1 to M.
 
-    From its autocorrelation, by the initial positive sequence (Geyer 1992).
+    Computed from the autocorrelation by the initial positive sequence (Geyer 1992).
     """
     count = values.size
     centred = values - values.mean()
@@ -27,12 +27,12 @@ def effective_samples(values: Array) -> float:
 
 
 def effective_errors(white: Array) -> float:
-    """Number of independent squares that whitened errors (M, r) are worth, from 1 to M.
+    """Effective number of independent squares of whitened errors (M, r), from 1 to M.
 
-    True confidence has them vary about zero, so one that lasts is correlation as well, which a
-    series of their squares about its own mean does not show. Squares of Gaussian errors correlate
-    by the square of what the errors do, and count until that is what chance makes of none. By how
-    much axes differ in that counts as far as it is more than chance (Bartlett 1946).
+    With a true covariance the errors have mean zero, so a lasting offset is correlation too; the
+    series of squares about its own mean does not show it. Squares of Gaussian errors have the
+    squared correlation of the errors, which is summed over lags until it falls to the level of
+    chance. Differences between the axes count as far as they exceed chance (Bartlett 1946).
     """
     count, varies = len(white), np.any(white, axis=0)
     if count < 4 or not varies.any():
@@ -47,17 +47,17 @@ def effective_errors(white: Array) -> float:
 
 
 def _spread(squares: Array, none: float) -> float:
-    """Sum of squared correlations (M,) at all lags of both signs, until a pair is that of none."""
+    """Sum of squared correlations (M,) over lags of both signs, until a pair is below `none`."""
     count = squares.size
     pairs = squares[0 : count - 1 : 2] + squares[1:count:2]
     over = np.flatnonzero(pairs < none)
     last = min(2 * int(over[0]) if over.size else count, int(_LONGEST * count))
-    left = 1.0 - np.arange(last) / count  # of the pairs, and of their sum
+    left = 1.0 - np.arange(last) / count  # share of pairs at each lag, which biases their sum
     return 2.0 * float(np.sum(squares[:last] / left)) - 1.0
 
 
 def _autocorrelation(values: Array) -> Array:
-    """Correlations (M,) about zero, by lag, of a series (M, r)."""
+    """Correlations (M,) about zero of a series (M, r) at lags 0 to M − 1."""
     count = len(values)
     size = 1 << (2 * count - 1).bit_length()
     spectrum = np.fft.rfft(values, size, axis=0)

@@ -18,7 +18,7 @@ _EXTRA = re.compile(r"^([A-Za-z0-9_.-]+).*;.*extra == ['\"]([\w-]+)['\"]")
 
 
 def system() -> dict[str, Any]:
-    """The report of `glissando doctor` as JSON holds it; nothing is opened or changed."""
+    """The report of `glissando doctor` as a JSON object; no device is opened or changed."""
     blas = [
         {
             "library": pool["internal_api"],
@@ -39,7 +39,7 @@ def system() -> dict[str, Any]:
 
 
 def optional() -> list[dict[str, str | None]]:
-    """Optional packages: name, version (None where missing) and the extra that brings each."""
+    """Optional packages: name, version (None if missing) and the extra that installs each."""
     try:
         requirements = requires("glissando") or []
     except PackageNotFoundError:  # run from a checkout that was never installed
@@ -62,9 +62,11 @@ def _version(name: str) -> str | None:
 def serial_devices() -> list[dict[str, Any]] | None:
     """Serial devices, their group, whether this user may open them, and latency timers.
 
+    A USB serial adapter delays replies by its latency timer, 16 ms by default.
+
     Returns:
-        None where pyserial is missing. A USB serial adapter delays replies by its latency timer,
-        16 ms by default; `latency_ms` is None for other devices and systems.
+        A dictionary for each device; `latency_ms` is None for other devices and operating systems.
+        None if pyserial is missing.
     """
     try:
         from serial.tools.list_ports import comports
@@ -90,7 +92,7 @@ def _group(device: str) -> str | None:
 
 
 def latency_ms(device: str, folder: Path = _LATENCY) -> int | None:
-    """The latency timer of a USB serial device, ms; None where Linux states none."""
+    """Latency timer of a USB serial device, ms; None if Linux reports none."""
     try:
         return int((folder / Path(device).name / "latency_timer").read_text())
     except (OSError, ValueError):

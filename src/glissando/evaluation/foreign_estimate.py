@@ -1,4 +1,4 @@
-"""Somebody else's estimate of a robot's shape, judged as our own are."""
+"""Estimates of a robot's shape by other software, evaluated like those of this package."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from glissando.model.sensors.sensors import (
 )
 from glissando.model.short_repr import ShortRepr
 
-_SAME = 1e-4  # m: samples no farther apart along the body are of one place
-_FAR_APART = 0.3  # of the body: between trajectories that far apart nothing is stated
-_GAP = 5.0  # usual steps, beyond which nothing is interpolated
-_UNITS = "length-unit", "time-unit", "clock"  # checks whose refusals an estimate heeds
+_SAME = 1e-4  # m, distance along the body up to which samples are of one place
+_FAR_APART = 0.3  # share of the body, beyond which trajectories are not interpolated between
+_GAP = 5.0  # median time steps, beyond which there is no interpolation in time
+_UNITS = "length-unit", "time-unit", "clock"  # checks whose refusals apply to an estimate
 _LOOKED_AT = 8  # trajectories whose units are checked
 _POINT = ["time", "arclength", "x", "y", "z"]
 _TURN, _COV = QUERY_COLUMNS[5:9], QUERY_COLUMNS[-36:]
@@ -43,14 +43,14 @@ _TURN, _COV = QUERY_COLUMNS[5:9], QUERY_COLUMNS[-36:]
 
 @dataclass(frozen=True)
 class ForeignEstimate(ShortRepr):
-    """Trajectories at some arclengths, between which poses are interpolated.
+    """Trajectories at K arclengths, between which poses are interpolated.
 
     Attributes:
         arclength: Increasing arclengths (K,), m.
-        time: Increasing times of each, s.
-        pose: Poses in the world of each (M, 4, 4).
-        cov: Covariances of each (M, 6, 6) in the body frame, NaN where there are none.
-        turns: Whether rotations are known; positions alone have identity rotations.
+        time: Increasing times (M,) of each trajectory, s.
+        pose: Poses (M, 4, 4) of each trajectory in the world.
+        cov: Covariances (M, 6, 6) of each trajectory in the body frame; NaN if unknown.
+        turns: Whether rotations are known; otherwise they are identity.
     """
 
     arclength: Array
@@ -61,20 +61,21 @@ class ForeignEstimate(ShortRepr):
 
     @property
     def window(self) -> tuple[float, float]:
-        """First and last time that all trajectories cover, s."""
+        """First and last time covered by all trajectories, s."""
         return max(float(t[0]) for t in self.time), min(float(t[-1]) for t in self.time)
 
     def covers(self, arclength: Array, time: Array) -> NDArray[np.bool_]:
-        """Which points (M,) lie within the arclengths and times of the estimate."""
+        """Mask (M,) of the points within the arclengths and times of the estimate."""
         first, last = self.window
         low, high = self.arclength[0] - _SAME, self.arclength[-1] + _SAME
         inside = (time >= first) & (time <= last) & (arclength >= low) & (arclength <= high)
         return np.asarray(inside)
 
     def in_gap(self, arclength: Array, time: Array) -> NDArray[np.bool_]:
-        """Which points (M,) lie where a trajectory beside them pauses for many of its steps.
+        """Mask (M,) of the points in a gap of the estimate, where poses are not interpolated.
 
-        Or where the next ones are far apart along the body, whose shape between is not stated.
+        Either a neighbouring trajectory pauses for many of its time steps, or the two neighbouring
+        trajectories are far apart along the body.
         """
         gaps, rows = np.stack([_in_gap(t, time) for t in self.time]), np.arange(time.size)
         lower, upper = self._neighbours(arclength)
@@ -83,12 +84,12 @@ class ForeignEstimate(ShortRepr):
         return np.asarray(gaps[lower, rows] | gaps[upper, rows] | far)
 
     def _neighbours(self, place: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Numbers (M,) of the trajectories below and above arclengths (M,), one at its own."""
+        """Indices (M,) of the trajectories below and above arclengths (M,); equal at one's own."""
         upper = np.clip(np.searchsorted(self.arclength, place - _SAME), 0, len(self.arclength) - 1)
         return np.maximum(upper - (place < self.arclength[upper] - _SAME), 0), upper
 
     def dropped(self, truth: Readings) -> dict[str, int]:
-        """Number of samples of a truth stream that cannot be judged, by reason."""
+        """Number of samples of a truth stream that cannot be compared, by reason."""
         at = truth.arclength, truth.time
         inside = self.covers(*at)
         lost = {
@@ -98,9 +99,10 @@ class ForeignEstimate(ShortRepr):
         return {reason: count for reason, count in lost.items() if count}
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
-        """Pose and covariance at points (M,), linear in time and on arcs along the body.
+        """Poses and covariances at points (M,), linear in time and on arcs along the body.
 
-        Without rotations it is linear along the body, too. The rest is zero.
+        Without rotations the interpolation is linear in arclength, too. Strain, velocity and their
+        covariances are zero.
         """
         place, when = np.asarray(arclength, dtype=float), np.asarray(time, dtype=float)
         lower, upper = self._neighbours(place)
@@ -120,7 +122,7 @@ class ForeignEstimate(ShortRepr):
         return StateEstimate(part(near, far, share), zeros, zeros, whole)
 
     def errors(self, truth: Readings) -> Errors:
-        """Errors at the samples of a truth stream that the estimate covers, outside of its gaps."""
+        """Errors at the samples of a truth stream that the estimate covers, outside its gaps."""
         at = truth.arclength, truth.time
         truth = truth.select(self.covers(*at) & ~self.in_gap(*at))
         if self.turns:
@@ -131,10 +133,10 @@ class ForeignEstimate(ShortRepr):
 
 
 def _of_backbone(truth: Readings) -> Readings:
-    """Truth as positions of the backbone, for an estimate of positions alone.
+    """Convert truth to positions of the backbone, for an estimate of positions alone.
 
     Raises:
-        SensorError: A sensor is mounted beside the backbone, on a side that it does not state.
+        SensorError: A sensor is mounted beside the backbone, and its rotation is not known.
     """
     if isinstance(truth, PoseReadings):
         lever = se3.adjoint(truth.mount)
@@ -162,13 +164,13 @@ def _of_backbone(truth: Readings) -> Readings:
 
 
 def read_estimate(path: Path) -> ForeignEstimate:
-    """An estimate from delimited text with the columns time,arclength,x,y,z in SI units.
+    """Read an estimate from delimited text with the columns time,arclength,x,y,z in SI units.
 
-    Rotations qw,qx,qy,qz and covariances c_0_0 … c_5_5 of [linear, angular] in the body frame may
-    follow, as `estimate --query` writes them.
+    Rotations qw,qx,qy,qz and covariances c_0_0 … c_5_5 of [linear, angular] in the body frame are
+    optional, as `estimate --query` writes them.
 
     Raises:
-        GlissandoError: A column is missing, or a row is wrong.
+        GlissandoError: A column is missing, a row is invalid, or there are no rows.
     """
     lines = [(number, cells) for number, cells in cells_of(path) if any(cells)]
     titles = lines[0][1] if lines else []
@@ -206,14 +208,14 @@ def read_estimate(path: Path) -> ForeignEstimate:
 
 
 def estimate_of_tracks(tracks: Sequence[Track], arclength: Mapping[str, float]) -> ForeignEstimate:
-    """An estimate of trajectories, each at an arclength.
+    """Create an estimate from trajectories, each at an arclength.
 
     Args:
-        tracks: Trajectories of poses or of positions, by name.
-        arclength: Arclength of each that counts, m.
+        tracks: Trajectories of poses or positions.
+        arclength: Arclengths, m, of the trajectories to use, by name.
 
     Raises:
-        GlissandoError: There is none, a name is no track's, or a track has no positions.
+        GlissandoError: No trajectory is named, a name is unknown, or a trajectory has no positions.
     """
     names = [t.name for t in tracks]
     for name in arclength:
@@ -240,11 +242,11 @@ def estimate_of_tracks(tracks: Sequence[Track], arclength: Mapping[str, float]) 
 def foreign_report(
     name: str, estimate: ForeignEstimate, recording: Recording, robot: Robot, truth: list[Readings]
 ) -> dict[str, Any]:
-    """A report of an estimate's errors, as `glissando report` compares them.
+    """Report of an estimate's errors, in the format that `glissando report` compares.
 
     Raises:
         GlissandoError: No sample of the truth lies within the estimate.
-        ImplausibleError: Its lengths or times are not in metres and seconds.
+        ImplausibleError: Lengths or times of the estimate are not in metres and seconds.
     """
     _require_units(estimate, recording, robot, truth)
     errors = [e for e in (estimate.errors(t) for t in truth) if e.arclength.size]
@@ -271,7 +273,7 @@ def foreign_report(
 def _require_units(
     estimate: ForeignEstimate, recording: Recording, robot: Robot, truth: Sequence[Readings]
 ) -> None:
-    """Raise ImplausibleError for lengths and times that the guard of an estimate would refuse."""
+    """Raise ImplausibleError if the guard refuses the units of lengths or times."""
     farthest = float(estimate.arclength[-1])
     if farthest > 1.5 * robot.length:
         raise ImplausibleError(
@@ -297,7 +299,7 @@ def _require_units(
 
 
 def _in_gap(time: Array, when: Array) -> NDArray[np.bool_]:
-    """Which times (M,) lie inside a step that is much longer than a trajectory's usual ones."""
+    """Mask (M,) of the times inside a step much longer than a trajectory's median step."""
     if time.size < 3:
         return np.zeros(when.size, dtype=bool)
     steps = np.diff(time)
@@ -308,7 +310,7 @@ def _in_gap(time: Array, when: Array) -> NDArray[np.bool_]:
 
 
 def _between(time: Array, pose: Array, cov: Array, when: Array) -> tuple[Array, Array]:
-    """Poses (M, 4, 4) and covariances (M, 6, 6) of one trajectory at times (M,)."""
+    """Interpolated poses (M, 4, 4) and covariances (M, 6, 6) of one trajectory at times (M,)."""
     if time.size == 1:
         return np.repeat(pose, when.size, 0), np.repeat(cov, when.size, 0)
     k = np.clip(np.searchsorted(time, when) - 1, 0, time.size - 2)
@@ -318,13 +320,13 @@ def _between(time: Array, pose: Array, cov: Array, when: Array) -> tuple[Array, 
 
 
 def _on_arc(near: Array, far: Array, share: Array) -> Array:
-    """Poses (M, 4, 4) a share of the way along an arc that leads from one to the other."""
+    """Poses (M, 4, 4) at a share of the way along the arc from one pose to the other."""
     twist = se3.log(se3.inverse(near) @ far)
     return np.asarray(near @ se3.exp(share[:, None] * twist))
 
 
 def _part(near: Array, far: Array, share: Array) -> Array:
-    """Poses (M, 4, 4) a share of the way, in a straight line with a steady turn."""
+    """Poses (M, 4, 4) at a share of the way, on a straight line with constant rotation rate."""
     position = near[:, :3, 3] + share[:, None] * (far[:, :3, 3] - near[:, :3, 3])
     turn = se3.so3_log(np.swapaxes(near[:, :3, :3], 1, 2) @ far[:, :3, :3])
     return se3.pose(near[:, :3, :3] @ se3.so3_exp(share[:, None] * turn), position)

@@ -1,9 +1,9 @@
-"""Readings against predictions that did not use them.
+"""Cross-validation: readings compared with predictions that did not use them.
 
-An innovation leaves out one reading at a time, and a sensor that samples fast then explains
-itself: its neighbours say the same, wrong or right. Here all that a stream says is left out at
-once, for the whole recording or for stretches of time, or the prior alone predicts it. Source:
-Gelman et al., Bayesian Data Analysis, chapter 6.
+An innovation leaves out one reading at a time. The readings before and after it from a fast sensor
+share its error, so that the prediction follows the error. Here all readings of a stream are left
+out at once, for the whole recording or for intervals of time, or the prior alone predicts them.
+Source: Gelman et al., Bayesian Data Analysis, chapter 6.
 """
 
 from __future__ import annotations
@@ -28,14 +28,12 @@ from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import SolverOptions
 
-_STRETCHES = 8  # of time, every other of which is left out
-_CURVED = (
-    0.2  # rad of a cross-section's axis, beyond which shapes are not spread as a covariance says
-)
-_ROWS = 400  # of a stream that are predicted
+_STRETCHES = 8  # intervals of time, every other of which is left out
+_CURVED = 0.2  # rad, standard deviation of a cross-section's axis beyond which linearisation fails
+_ROWS = 400  # readings of a stream that are predicted
 
 Watch = Callable[[str, int, int], None]
-"""Called before each estimate with what is left out, its number, and how many there are."""
+"""Called before each estimate with the name of what is left out, its index, and their number."""
 
 
 def leave_out(
@@ -43,15 +41,15 @@ def leave_out(
 ) -> list[Consistency]:
     """Consistency of readings with predictions that did not use them.
 
-    Each stream is predicted by the others ("by the others"), each stream in stretches of time by
-    what is read outside them ("by other times"), and each by the prior alone ("by the prior").
-    Where the others do not fix the robot in the world, a stream is not predicted by them.
+    Each stream is predicted from the others ("by the others"), in intervals of time from the
+    readings outside them ("by other times"), and from the prior alone ("by the prior"). If the
+    readings used leave the robot unobservable, there is no prediction from them.
 
     Args:
         robot: The robot with its prior and sensor parameters.
         grid: Nodes of the estimates.
         readings: The streams, as `estimate` takes them.
-        watch: Called before each estimate, of which there are two more than streams, and one.
+        watch: Called before each estimate: one for each stream if there are several, and three.
     """
     streams = [r.inside(grid) for r in readings if len(r) and r.reads_one_state]
     odd = [_stretch(r, grid) for r in streams]
@@ -75,7 +73,7 @@ def leave_out(
 
 
 def _stretch(r: Readings, grid: Grid) -> np.ndarray:
-    """Which readings (M,) lie in every other stretch of time."""
+    """Mask (M,) of the readings in every other interval of time."""
     share = (r.time - grid.time[0]) / (grid.time[-1] - grid.time[0])
     number = np.minimum(np.floor(_STRETCHES * share), _STRETCHES - 1)  # at its end, too
     out: np.ndarray = number.astype(int) % 2 == 0
@@ -100,10 +98,10 @@ def _judged(
 def _predicted(
     robot: Robot, grid: Grid, used: Sequence[Readings], left: Sequence[Readings]
 ) -> Iterator[tuple[Readings, Array]]:
-    """Each stream that is left out, and its prediction errors (M, r) in units of their covariance.
+    """Yield each stream that is left out, and its whitened prediction errors (M, r).
 
-    Sensor parameters are predicted with the states, also those that no reading used tells of. What
-    is predicted too vaguely is not judged.
+    Sensor parameters are predicted with the states, including those without any reading used.
+    Readings whose prediction is too uncertain for linearisation are skipped.
     """
     parameters = robot.sensor_parameters
     used = [r for r in used if len(r)]
@@ -124,7 +122,7 @@ def _predicted(
 
 
 def _is_curved(posterior: Posterior, r: Readings) -> NDArray[np.bool_]:
-    """Which readings (M,) are predicted so vaguely that a covariance does not describe it."""
+    """Mask (M,) of the readings whose predicted orientation is too uncertain for a covariance."""
     grid = posterior.grid
     place = np.clip(r.arclength, grid.arclength[0], grid.arclength[-1])
     cov = posterior.at(place, np.clip(r.time, grid.time[0], grid.time[-1])).cov

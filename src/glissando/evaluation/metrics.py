@@ -26,28 +26,30 @@ from glissando.model.sensors.sensors import (
 from glissando.model.short_repr import ShortRepr
 from glissando.model.state import State
 
-_LEAST_SHARE = 1e-5  # of a reading's variance that the rest of an estimate leaves
-_LEAST_VARIANCE = 1e-18  # m², of an estimate that states none
+_LEAST_SHARE = 1e-5  # least share of a reading's variance not explained by the estimate
+_LEAST_VARIANCE = 1e-18  # m², added to the variance of an estimate, which may be zero
 _TRUTH = (PoseReadings, CoilReadings, PositionReadings, OrientationReadings)
 
 
 @dataclass(frozen=True)
 class Errors(ShortRepr):
-    """Errors of an estimate at M truth samples in order of time; what a stream lacks is NaN.
+    """Errors of an estimate at M truth samples; quantities that a stream lacks are NaN.
 
     Attributes:
         name: Name of the truth stream.
-        arclength: Where it sits (M,), m.
-        position: Distance (M,), m.
-        rotation: Angle (M,), rad.
-        nees_position: Squared position errors (M,) in units of their covariance, 3 dof.
+        arclength: Arclengths (M,) of the samples, m.
+        position: Position errors (M,), m.
+        rotation: Rotation errors (M,), rad.
+        nees_position: Squared position errors (M,) in units of their covariance, 3 degrees of
+            freedom.
         nees_rotation: Squared rotation errors (M,) in units of their covariance.
         sigmas: Position errors (M,) in standard deviations of the estimate alone, as tubes are
-            drawn; the noise of truth makes them larger.
-        dof_rotation: Degrees of freedom of the latter: 3, or 2 for a coil, which shows no roll.
-        time: Times (M,), s.
-        white_position: Position errors (M, 3) in units of their covariance, if they are kept.
-        white_rotation: Rotation errors (M, r) in units of theirs.
+            drawn; the noise of truth is not included and increases them.
+        dof_rotation: Degrees of freedom of rotation errors: 3, or 2 for a coil, whose roll is
+            unknown.
+        time: Times (M,) of the samples, s.
+        white_position: Whitened position errors (M, 3); empty (0, 3) if not kept.
+        white_rotation: Whitened rotation errors (M, r); empty if not kept.
     """
 
     name: str
@@ -63,7 +65,7 @@ class Errors(ShortRepr):
     white_rotation: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def summary(self) -> dict[str, float | None]:
-        """RMSEs, NEES per degree of freedom, and the share inside the 95 % ellipsoid."""
+        """RMSEs, NEES per degree of freedom, share inside the 95 % ellipsoid; None if unknown."""
         inside = np.where(
             np.isnan(self.nees_position), np.nan, self.nees_position <= chi_square_quantile(0.95, 3)
         )
@@ -76,7 +78,7 @@ class Errors(ShortRepr):
         }
 
     def site_summary(self) -> dict[str, Any]:
-        """Name, mean arclength and number of samples of the site, with its summary."""
+        """Name, mean arclength, m, and number of samples of the site, with `summary`."""
         return {
             "name": self.name,
             "arclength": float(np.mean(self.arclength)),
@@ -96,14 +98,14 @@ def _rms(values: Array) -> float | None:
 
 
 def errors_against(estimate: StateSource, truth: Readings) -> Errors:
-    """Errors of an estimate at every sample of a truth stream.
+    """Errors of an estimate at every sample of a truth stream, in order of time.
 
     Args:
         estimate: A posterior or a smoother.
-        truth: Poses, coils, positions or orientations; NEES counts their own covariance too.
+        truth: Poses, coils, positions or orientations; their covariance is included in the NEES.
 
     Raises:
-        SensorError: For other kinds of truth, and for truth in a channel that is not placed.
+        SensorError: The truth is of another kind, or in a channel without an arclength.
     """
     require_kind(truth, Readings, "truth", "give one stream of Readings, the estimate first")
     if not hasattr(estimate, "at"):
@@ -145,11 +147,11 @@ def errors_against(estimate: StateSource, truth: Readings) -> Errors:
 
 
 def prediction_scores(estimate: StateSource, readings: Readings) -> Array:
-    """Normalised distances (M,) of readings from what an estimate without them predicts.
+    """Mahalanobis distances (M,) of readings from their prediction by an estimate.
 
     Args:
         estimate: A posterior or a smoother.
-        readings: Readings that it has not used.
+        readings: Readings that the estimate has not used.
     """
     body = estimate.at(readings.arclength, readings.time)
     at = State(body.pose, body.strain, body.velocity)
@@ -160,12 +162,12 @@ def prediction_scores(estimate: StateSource, readings: Readings) -> Array:
 
 
 def _squared(error: Array, cov: Array) -> Array:
-    """Squared Mahalanobis lengths (M,) of errors (M, r)."""
+    """Squared Mahalanobis norms (M,) of errors (M, r)."""
     return np.einsum("mi,mi->m", error, np.linalg.solve(cov, error[..., None])[..., 0])
 
 
 def _white(error: Array, cov: Array) -> Array:
-    """Errors (M, r) in units of their covariance; none where somebody's is no covariance."""
+    """Whitened errors (M, r); empty (0, r) if a given covariance is not positive definite."""
     try:
         root = np.linalg.cholesky(np.broadcast_to(cov, (*error.shape, error.shape[1])))
     except np.linalg.LinAlgError:
@@ -176,15 +178,15 @@ def _white(error: Array, cov: Array) -> Array:
 def innovations(posterior: Posterior, readings: Readings) -> Array:
     """Squared innovations (M,) of readings that were used, in units of their covariance.
 
-    The innovation of a reading is its distance from the prediction by all others. For a residual e
-    with covariance R and posterior covariance H P Hᵀ its square is eᵀ (R − H P Hᵀ)⁻¹ e, with as
-    many degrees of freedom as a reading has rows; no reading has to be left out. Where the rest
-    leaves less than a share of 1e-5 of a row's own variance, rounding and the solver's tolerance
-    decide, and the share counts as that: the square is never negative.
+    The innovation of a reading is its difference from the prediction by all others. For a residual
+    e with covariance R and posterior covariance H P Hᵀ its square is eᵀ (R − H P Hᵀ)⁻¹ e, with as
+    many degrees of freedom as a reading has rows; no reading has to be left out. The share of a
+    row's variance that remains in R − H P Hᵀ is at least 1e-5, since smaller shares are determined
+    by rounding and the solver's tolerance; the square is thus never negative.
 
     Args:
         posterior: The estimate.
-        readings: A stream it was estimated from, corrected for known sensor parameters.
+        readings: A stream used by the estimate, corrected for known sensor parameters.
     """
     return fit_of(posterior, readings).squared(True, _LEAST_SHARE)
 
@@ -192,7 +194,7 @@ def innovations(posterior: Posterior, readings: Readings) -> Array:
 def _rotation_error(estimated: Array, truth: Readings) -> Array:
     """Rotation vectors (M, 3) from estimated to true orientation in the sensor's frame.
 
-    For a coil (M, 2): the tilt of its axis, the least turn that takes one onto the other.
+    For a coil (M, 2): the tilt of its axis, by the smallest rotation between the axes.
     """
     apart = np.swapaxes(estimated, -1, -2) @ truth.values[:, :3, :3]
     if not isinstance(truth, CoilReadings):
@@ -204,7 +206,7 @@ def _rotation_error(estimated: Array, truth: Readings) -> Array:
 
 
 def joined(errors: Sequence[Errors]) -> Errors:
-    """Errors of one stream, one part after another; its name is the first part's."""
+    """Concatenate errors of one stream; the name is that of the first part."""
     arrays = (
         "arclength", "position", "rotation", "nees_position", "nees_rotation", "time", "sigmas",
     )  # fmt: skip
@@ -217,7 +219,7 @@ def joined(errors: Sequence[Errors]) -> Errors:
 
 
 def pool(errors: Sequence[Errors]) -> Errors:
-    """All samples of all sites as one; rotations are of the most degrees of freedom."""
+    """Pool samples of all sites; rotation NEES are converted to the most degrees of freedom."""
     dof = max(e.dof_rotation for e in errors)
     alike = [
         replace(e, nees_rotation=chi_square_of(e.nees_rotation, e.dof_rotation, dof))

@@ -1,9 +1,9 @@
-"""Sessions drawn from a robot's own prior: motions, sensor parameters, and readings of them.
+"""Sessions drawn from a robot's own prior: motions, sensor parameters, and simulated readings.
 
-A motion is drawn on a grid finer than the estimator's, in the errors of intervals, with the weights
-that these have at rest. A separable prior is Gaussian in them but for its weights; a kinematic one
-is linearised about rest, so that only small motions are drawn from it. Readings are taken at nodes
-of the fine grid with the noise that they state.
+A motion is drawn on a grid finer than the estimator's, in terms of the errors of intervals, with
+their weights at rest. A separable prior is Gaussian in these errors except for the weights; a
+kinematic one is linearised about rest, so that only small motions are drawn exactly. Readings are
+taken at nodes of the fine grid with their stated noise.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from glissando.model.sensors.sensors import sensor_class, sensor_kinds
 from glissando.model.state import State
 from glissando.solver.square_root import RootInformation, root_information
 
-_FINER = 4  # times as many nodes as the estimator has, and twice beyond _MOST along the robot
+_FINER = 4  # refinement of the estimator's grid; along the robot 2 if there were over _MOST nodes
 _MOST = 33
-_TRIED, _EXCESS = 5, 2.0  # motions, whose cost may be so many times what is expected
-_NODES = 6  # time nodes of a session without a recording
-_READINGS = 1  # a time node, of every sensor
+_TRIED, _EXCESS = 5, 2.0  # trial motions; largest median ratio of their cost to its expectation
+_NODES = 6  # time intervals of a session without a recording
+_READINGS = 1  # readings of every sensor per time interval
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class Session:
     """One drawn session.
 
     Attributes:
-        truth: The motion at the nodes of the fine grid (K, N).
+        truth: States (K, N) of the motion at the nodes of the fine grid.
         parameters: Values (K, E) of the sensor parameters at the fine time nodes.
-        readings: What the sensors read.
+        readings: Simulated readings of each stream.
     """
 
     truth: State
@@ -57,10 +57,10 @@ class PriorPredictive:
     Attributes:
         robot: The robot.
         grid: The estimator's grid.
-        layout: Which sensors read where and when; their values do not matter.
-        prior: The prior that is drawn from, the robot's as factors on the fine grid have it.
-        fine: The grid that motions are drawn on.
-        process: The sensor parameters that are drawn.
+        layout: Sensors with places, times and noise of their readings; the values are ignored.
+        prior: Prior for drawing, the robot's prior adapted to the fine grid.
+        fine: Grid on which motions are drawn.
+        process: Sensor parameters that are drawn.
     """
 
     robot: Robot
@@ -76,7 +76,7 @@ class PriorPredictive:
         """Factor the prior's information, once for all draws.
 
         Raises:
-            GlissandoError: The prior leaves the base free, so that nothing can be drawn.
+            GlissandoError: The prior leaves the base free, so that it is not a proper density.
         """
         prior = self.robot.prior
         if not prior.fixes_base:
@@ -99,10 +99,10 @@ class PriorPredictive:
         object.__setattr__(self, "_root", root_information(factors, fine.shape, rest.dof))
 
     def draw(self, rng: np.random.Generator) -> Session:
-        """A session: motion, sensor parameters and readings.
+        """Draw a session: motion, sensor parameters and readings.
 
         Args:
-            rng: Source of all chance.
+            rng: Random number generator.
         """
         moved = self._draw_motion(rng)
         truth = State(moved.pose, moved.strain, moved.velocity)
@@ -112,15 +112,15 @@ class PriorPredictive:
         return Session(truth, values, [r.inside(self.grid) for r in readings])
 
     def require_exact(self, rng: np.random.Generator) -> None:
-        """Refuse a prior that is far from its linearisation where its motions are.
+        """Raise if the prior's linearisation does not hold for the motions drawn from it.
 
-        Twice the cost of a motion is a χ² of as many degrees of freedom as it has numbers.
+        Twice the cost of an exact draw is χ²-distributed with one degree of freedom per variable.
 
         Args:
-            rng: Source of all chance.
+            rng: Random number generator.
 
         Raises:
-            GlissandoError: Motions that are drawn are none of the prior's.
+            GlissandoError: The cost of drawn motions is far larger than expected.
         """
         excess = float(np.median([self._excess(self._draw_motion(rng)) for _ in range(_TRIED)]))
         if excess < _EXCESS:
@@ -133,7 +133,7 @@ class PriorPredictive:
         )
 
     def _excess(self, moved: State) -> float:
-        """Twice the prior's cost of a motion over its numbers; infinite where it has none."""
+        """Twice the prior's cost of a motion per variable; infinite if it cannot be computed."""
         every, cost = slice(0, self.fine.time.size), np.inf
         with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
             factors = self.prior.factors(self.fine, moved, moved, every)
@@ -142,12 +142,12 @@ class PriorPredictive:
         return excess if np.isfinite(excess) else np.inf
 
     def _draw_motion(self, rng: np.random.Generator) -> State:
-        """A motion at the fine nodes."""
+        """Draw a motion at the fine nodes."""
         step = self._root.sample(rng).reshape(*self.fine.shape, -1)
         return self.prior.retract_strains(self.fine, self._rest, step)
 
     def _draw_parameters(self, rng: np.random.Generator) -> Array:
-        """Values (K, E) of Ornstein-Uhlenbeck processes at the fine time nodes."""
+        """Draw values (K, E) of Ornstein-Uhlenbeck processes at the fine time nodes."""
         white = rng.standard_normal((self.fine.time.size, self.process.size))
         decay, std, _ = self.process.drift(white)
         values = white * std
@@ -158,7 +158,7 @@ class PriorPredictive:
     def _read(
         self, stream: Readings, truth: State, drawn: ParameterValues, rng: np.random.Generator
     ) -> Readings:
-        """A stream's readings of the motion, at the fine nodes nearest to those of the layout."""
+        """Simulate a stream's readings of the motion, at the fine nodes nearest to the layout's."""
         k, n = (
             np.abs(nodes[:, None] - at).argmin(axis=0)
             for nodes, at in (
@@ -178,29 +178,29 @@ class PriorPredictive:
         read = mounted.changed(values=noisy_values(mounted, at, rng))
         read = read.changed(mount=placed.mount)
         for parameter, columns in parameters:
-            if parameter.kind != "mount":  # the reading is off by what a correction takes away
+            if parameter.kind != "mount":  # the error is minus the correction
                 read = parameter.shift(read, -drawn.values[k, columns])
         return read
 
 
 def _finer(nodes: Array, times: int) -> Array:
-    """Nodes so many times as dense."""
+    """Nodes refined by a factor `times`."""
     places = np.arange(times * (nodes.size - 1) + 1) / times
     return np.interp(places, np.arange(nodes.size), nodes)
 
 
 def noisy_values(readings: Readings, at: State, rng: np.random.Generator) -> Array:
-    """Values (M, …) that sensors would read at states, with the noise that they state.
+    """Simulate values (M, …) of sensors at states, with their stated noise.
 
-    Sensors whose values are no poses or rotations are taken to read what their residual expects.
+    Values other than poses and rotations are predicted by the sensor's residual.
 
     Args:
-        readings: The sensor; of its values only the shape matters.
-        at: States (M,) where it reads.
-        rng: Source of the noise.
+        readings: The sensor; its values are replaced.
+        at: States (M,) at the readings.
+        rng: Random number generator.
 
     Raises:
-        GlissandoError: Its readings are not drawn, see `require_drawn`.
+        GlissandoError: Readings of this sensor cannot be drawn, see `require_drawn`.
     """
     require_drawn(readings)
     root = np.linalg.cholesky(
@@ -211,7 +211,7 @@ def noisy_values(readings: Readings, at: State, rng: np.random.Generator) -> Arr
         wobble = np.zeros((len(readings), 6))
         wobble[:, : noise.shape[1]] = -noise
         roll = np.zeros_like(wobble)
-        if noise.shape[1] == 5:  # a coil, which does not show its roll
+        if noise.shape[1] == 5:  # a coil, whose roll is unknown
             roll[:, 5] = rng.uniform(-np.pi, np.pi, len(readings))
         return at.pose @ readings.mount @ se3.exp(wobble) @ se3.exp(roll)
     if readings.value_shape == (3, 3):
@@ -221,11 +221,11 @@ def noisy_values(readings: Readings, at: State, rng: np.random.Generator) -> Arr
 
 
 def require_drawn(readings: Readings) -> None:
-    """Refuse sensors whose readings are not drawn.
+    """Raise for sensors whose readings cannot be drawn.
 
     Raises:
-        GlissandoError: The sensor needs the states' acceleration or the whole robot, or it slides
-            beside the backbone.
+        GlissandoError: The sensor depends on acceleration or on the whole robot, or sits in a
+            channel beside the backbone.
     """
     for cannot, what in (
         (readings.accelerates, "an accelerometer"),
@@ -239,18 +239,18 @@ def require_drawn(readings: Readings) -> None:
 
 
 def session_layout(robot: Robot) -> tuple[Grid, list[Readings]]:
-    """A short session of the robot's own sensors, where no recording gives one.
+    """Layout of a short session of the robot's own sensors, if there is no recording.
 
-    Every kind of sensor that the robot file names reads at each time node: a coil while it slides
-    over the last quarter of the body and back, others at the tip. Streams that sensor parameters
-    name are spread evenly over the body, the last at the tip, and are of the kind whose name theirs
-    contains, else gyroscopes if they have a bias, else the first tracker of the file.
+    Every kind of sensor in the robot file reads at each time node: a coil while it slides over the
+    last quarter of the body and back, others at the tip. Streams named by sensor parameters are
+    spread evenly over the body, the last at the tip. Their kind is the one contained in their name,
+    else a gyroscope if they have a bias, else the first tracker of the file.
 
     Args:
         robot: The robot.
 
     Returns:
-        The estimator's grid, and readings without meaningful values.
+        The estimator's grid, and readings with placeholder values.
 
     Raises:
         GlissandoError: The robot file names no sensor that can be simulated.
@@ -284,7 +284,7 @@ def session_layout(robot: Robot) -> tuple[Grid, list[Readings]]:
 
 
 def _kind_of(stream: str, parameter: SensorParameter, kinds: Sequence[str]) -> str:
-    """The kind of sensor that a stream's name suggests, else one that has such a parameter."""
+    """Kind of sensor by a stream's name, else by its parameter; empty if there is none."""
     for kind in sensor_kinds():
         if kind in stream:
             return kind if kind in kinds else ""
@@ -294,7 +294,7 @@ def _kind_of(stream: str, parameter: SensorParameter, kinds: Sequence[str]) -> s
 
 
 def _blank(robot: Robot, kind: str, name: str, time: Array, arclength: Array) -> Readings:
-    """Readings of a kind whose values say nothing."""
+    """Readings of a kind with placeholder values."""
     cls = sensor_class(kind)
     shape = cls.value_shape or (cls.rows,)
     one = np.eye(shape[0]) if len(shape) == 2 else np.zeros(shape)

@@ -1,4 +1,4 @@
-"""A recording run through the fixed-lag smoother as if it were live, with its errors."""
+"""Replay of a recording through the fixed-lag smoother as if it were live, with its errors."""
 
 from __future__ import annotations
 
@@ -48,30 +48,30 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.short_repr import ShortRepr
 from glissando.model.slide_track import slide_motion
 
-_NODES = 4  # in the smoother's window by default
-_MEMORY = 30.0  # s of a journal that are estimated again before a run continues
+_NODES = 4  # time nodes in the smoother's window by default
+_MEMORY = 30.0  # s at the end of a journal that are estimated again before a run continues
 
 Watch = Callable[[int, int, FixedLagSmoother], None]
-"""Called after each update with its number, how many there will be, and the smoother."""
+"""Called after each update with its number from 1, the number of updates, and the smoother."""
 
 
 @dataclass(frozen=True)
 class Replay(ShortRepr):
-    """A recording replayed: an estimate and a latency for each update, and errors against truth.
+    """Results of a replay: an estimate and a latency for each update, and errors against truth.
 
     Attributes:
         recording: The recording.
-        robot: The robot it was estimated as.
+        robot: The robot of the estimate.
         window: First and last time that was replayed, s.
         nodes: Number of time nodes in the smoother's window.
         smoother: The smoother after the last update.
-        time: Times of the updates (K,), s.
-        latency: Computing time of each update (K,), s.
+        time: Times (K,) of the updates, s.
+        latency: Computing time (K,) of each update, s.
         states: Estimate of the newest node after each update.
-        nis: Mean normalised innovation squared of each update (K,), NaN where there is none.
-        newest: Errors in the interval before each update, given all readings up to it.
-        lagged: Errors in the interval that leaves the window next.
-        adaptive: Sets for the next reading of each stream, and how often they missed it.
+        nis: Mean normalised innovation squared (K,) of each update; NaN if unknown.
+        newest: Errors at each site in the interval before each update, given all readings up to it.
+        lagged: Errors at each site in the oldest interval of the window after each update.
+        adaptive: Adaptive prediction sets for the next reading of each stream, by its name.
     """
 
     recording: Recording
@@ -89,11 +89,11 @@ class Replay(ShortRepr):
 
     @property
     def real_time_factor(self) -> float:
-        """Seconds of recording estimated in a second of computing."""
+        """Seconds of recording estimated per second of computing time."""
         return float((self.time[-1] - self.time[0]) / max(self.latency.sum(), 1e-9))
 
     def as_json(self) -> dict[str, Any]:
-        """The replay's settings and results as JSON holds them, SI units and radians."""
+        """Settings and results of the replay as a JSON object, in SI units and radians."""
         median, p99 = np.percentile(self.latency, [50, 99]).tolist()
         return {
             "recording": self.recording.name,
@@ -146,19 +146,19 @@ def replay(
     Args:
         recording: The recording.
         robot: The robot with its prior, grid and sensor parameters.
-        window: First and last time, s; the recording's own unless given.
-        lag: Length of the smoother's window, s; four time nodes unless given, 0 for a filter.
-        use: Names of streams to use; all but truth unless given.
-        truth: Names of truth streams; those that are marked so unless given.
+        window: First and last time, s; by default that of the recording.
+        lag: Length of the smoother's window, s; by default four time nodes, 0 for a filter.
+        use: Names of streams to use; by default all but truth.
+        truth: Names of truth streams; by default those marked as truth in the recording.
         real_time: Whether to wait until each update is due.
-        journal: Folder to which readings are written before they are used; if it holds some
-            already, of a run that was asked the same, the run continues where they end.
+        journal: Folder to which readings are written before they are used. If it contains readings
+            of a run with the same settings, that run is continued.
         watch: Called after each update.
-        allow: Checks of plausibility that are left out, besides the recording's own.
+        allow: Names of plausibility checks to skip, in addition to the recording's own.
 
     Raises:
-        RecordingError: For an empty window, an unknown stream, or a journal of another run.
-        ImplausibleError: Readings cannot be what they are said to be.
+        RecordingError: The window is empty, a stream is unknown, or the journal is of another run.
+        ImplausibleError: Readings contradict their declared units, frames or clocks, or the robot.
     """
     first, last = checked_window(recording, window)
     readings, references, _ = chosen_streams(recording, robot, (first, last), use, truth)
@@ -191,7 +191,7 @@ def replay(
 
 
 def _when_and_where(rows: Rows) -> dict[str, Any]:
-    """Fields of readings that say when and where rows were taken."""
+    """Fields of readings for the time and place of rows."""
     slide = slide_motion(rows.time, rows.arclength)
     return {"time": rows.time, "arclength": rows.arclength, **slide}
 
@@ -203,9 +203,9 @@ def _continued(
     readings: list[Readings],
     times: Array,
 ) -> tuple[list[Readings], Array]:
-    """Give the smoother a journal's readings; the readings and update times still to come.
+    """Pass a journal's readings to the smoother; returns remaining readings and update times.
 
-    A journal that holds them all gives it none: what may be missing is what was made of them.
+    If the journal is complete, the smoother gets no readings and no update time remains.
     """
     if not (journal / "recording.toml").exists():
         return readings, times
@@ -235,14 +235,14 @@ def _continued(
 
 
 def _by_site(intervals: list[list[Errors]]) -> list[Errors]:
-    """Errors of each site over all intervals; sites without any are left out."""
+    """Errors of each site over all intervals; sites without samples are left out."""
     sites = [joined(parts) for parts in zip(*intervals, strict=True)]
     return [site for site in sites if site.arclength.size]
 
 
 @dataclass
 class _Run:
-    """A smoother that is updated with readings, and the results of each update."""
+    """Updates a smoother with readings, and stores the results of each update."""
 
     smoother: FixedLagSmoother
     truth: list[Readings]
@@ -258,7 +258,7 @@ class _Run:
     def through(
         self, readings: list[Readings], times: Array, log: Journal | None = None, wait: bool = False
     ) -> None:
-        """Update at every time with the readings since the one before; wait until it is due."""
+        """Update at every time with the readings since the last; `wait` until each is due."""
         began = time.monotonic() - (times[0] if times.size else 0.0)
         since = self.smoother.time or -np.inf
         for k, now in enumerate(times):
@@ -273,7 +273,7 @@ class _Run:
             since = now
 
     def _predict(self, arrived: list[Readings]) -> None:
-        """Score readings by what is predicted of them before they are used."""
+        """Update the adaptive sets with the prediction scores of readings before their use."""
         since = self.smoother.time
         if since is None:
             return
@@ -305,7 +305,7 @@ class _Run:
         self.nis.append(np.nan if self.smoother.nis is None else self.smoother.nis)
 
     def _compare(self, since: float, times: Array, k: int) -> None:
-        """Compare the newest interval with truth, and the one that leaves the window next."""
+        """Compare the newest and the oldest interval of the window with truth."""
         lag, done = self.smoother.lag, k + 1 == len(times)
         if lag == 1:  # a filter has its newest node alone: compare its prediction
             if not done:
@@ -319,9 +319,9 @@ class _Run:
             self.lagged.append(self._errors(posterior, times[oldest], until))
 
     def _errors(self, estimate: StateSource, after: float, until: float) -> list[Errors]:
-        """Errors in an interval, those of each truth stream."""
+        """Errors of each truth stream in the interval from `after` to `until`, s."""
         if isinstance(estimate, Posterior) and (begins := float(estimate.grid.time[0])) > after:
-            if np.isfinite(after):  # it began again after silence
+            if np.isfinite(after):  # the window was restarted after a gap in the readings
                 estimate = _HeldBefore(self.smoother, begins)
             else:
                 after = np.nextafter(begins, -np.inf)
@@ -335,11 +335,11 @@ class _Run:
 
 @dataclass(frozen=True)
 class _HeldBefore:
-    """A window that began again at rest: before, the robot is taken to be as it began."""
+    """A smoother restarted at rest, whose first state also stands for earlier times."""
 
     smoother: FixedLagSmoother
     begins: float
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
-        """State and covariance at arclengths (m) and times (s), those before its first node."""
+        """State and covariance at arclengths, m, and times, s, but not before `begins`."""
         return self.smoother.at(arclength, np.maximum(time, self.begins))

@@ -1,4 +1,4 @@
-"""What a replay was asked to do, stored beside its log: only the same is gone on with."""
+"""Settings of a replay, stored beside its log, so that only the same replay is continued."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _FILE = "request.json"
 def request_of(
     name: str, robot: Robot, readings: Sequence[Readings], times: Array, nodes: int
 ) -> dict[str, object]:
-    """What decides the states of a replay, as JSON holds it.
+    """Settings that determine the states of a replay, as a JSON object.
 
     Args:
         name: Name of the recording.
-        robot: The robot; one of a file by its bytes, else by its name.
-        readings: All readings that it is given.
+        robot: The robot, identified by the digest of its file, or by name if it has none.
+        readings: All readings of the replay, identified by a digest.
         times: Times of the updates (K,), s.
         nodes: Number of time nodes in the smoother's window.
     """
@@ -48,15 +48,15 @@ def request_of(
 
 
 def store_request(folder: Path, request: dict[str, object]) -> None:
-    """Write what was asked beside the log in a folder."""
+    """Write the settings of a replay to the folder of its log."""
     write_text(folder / _FILE, json.dumps(request, indent=2) + "\n")
 
 
 def require_same_request(folder: Path, request: dict[str, object]) -> None:
-    """Make sure that the log in a folder is of a run that was asked the same.
+    """Raise unless the log in a folder is of a replay with the same settings.
 
     Raises:
-        RecordingError: It is of another recording, robot, window, lag, or of other readings.
+        RecordingError: Recording, robot, window, lag or readings differ.
     """
     try:
         stored = dict(json.loads(plain_text(folder / _FILE)))

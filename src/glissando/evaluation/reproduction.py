@@ -1,4 +1,4 @@
-"""Whether a result computed again is the same, and what differs."""
+"""Comparison of a recomputed result with a stored one."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ import numpy as np
 from glissando.estimation.posterior import Posterior
 
 SAME = 1e-8
-"""Largest relative difference of numbers that count as the same: rounding of another BLAS, by which
-the standard deviations of constants differ most, as what ties their nodes is large."""
+"""Largest relative difference of numbers that count as equal. It allows for the rounding of another
+BLAS, which is largest in the standard deviations of constants, whose nodes are tied by large
+weights."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """An entry of a report that is not the same.
+    """An entry of a report that has changed.
 
     Attributes:
-        key: Where it is, keys and indices joined by dots.
-        before: The value then; None if there was none.
-        now: The value now; None if there is none.
-        std: The standard deviation that the report states for it, 0 if it states none.
+        key: Keys and indices of the entry, joined by dots.
+        before: Stored value; None if there is none.
+        now: New value; None if there is none.
+        std: Standard deviation of the entry in the report; 0 if none is stated.
     """
 
     key: str
@@ -35,9 +36,9 @@ class Difference:
 
     @property
     def size(self) -> float:
-        """The difference of numbers by the largest of them and of their standard deviation.
+        """Difference of two numbers over the largest of both and their standard deviation.
 
-        Infinite for anything else.
+        Infinite for other values.
         """
         if not (_is_number(self.before) and _is_number(self.now)):
             return np.inf
@@ -46,9 +47,9 @@ class Difference:
 
 
 def differences(before: Any, now: Any, key: str = "", std: Any = 0.0) -> Iterator[Difference]:
-    """The entries of two documents of JSON that are not equal.
+    """Yield the entries in which two JSON documents differ.
 
-    Lists beside one named "std" of the same length have its entries as their standard deviations.
+    A list "std" in the same object holds the standard deviations of all lists of its length there.
 
     >>> [d.key for d in differences({"a": [1, 2], "b": 3}, {"a": [1, 4], "b": 3})]
     ['a.1']
@@ -66,19 +67,19 @@ def differences(before: Any, now: Any, key: str = "", std: Any = 0.0) -> Iterato
 
 
 def _within(key: str, name: object) -> str:
-    """The key of an entry of what a key names."""
+    """Key of an entry inside the entry `key`."""
     return f"{key}.{name}".lstrip(".")
 
 
 def table_difference(before: Path, now: Path) -> float:
-    """The largest difference of numbers of two CSV files, relative to the largest of their column.
+    """Largest difference of numbers in two CSV files, relative to the largest in their column.
 
     Args:
-        before: The file then.
-        now: The file now.
+        before: The stored file.
+        now: The new file.
 
     Returns:
-        The difference, infinite if other cells than numbers differ, or the size of the tables.
+        The relative difference; infinite if the tables' sizes or cells other than numbers differ.
     """
     tables = []
     for path in (before, now):
@@ -102,7 +103,7 @@ def table_difference(before: Path, now: Path) -> float:
 
 
 def _number(cell: str) -> float:
-    """A cell's number, or nan for a heading."""
+    """The number in a cell; NaN for text such as a heading."""
     try:
         return float(cell)
     except ValueError:
@@ -110,15 +111,15 @@ def _number(cell: str) -> float:
 
 
 def posterior_difference(before: Posterior, now: Posterior) -> tuple[float, float] | None:
-    """How far two posteriors of one grid are apart; None if their grids are not the same.
+    """Difference of two posteriors on one grid.
 
     Args:
-        before: The posterior then.
-        now: The posterior now.
+        before: The stored posterior.
+        now: The new posterior.
 
     Returns:
-        The largest distance of means in standard deviations, and the largest relative difference
-        of standard deviations, at the nodes.
+        The largest difference of means in standard deviations, and the largest relative difference
+        of standard deviations, at the nodes; None if the grids or state dimensions differ.
     """
     grids = before.grid, now.grid
     if before.state.dof != now.state.dof or any(

@@ -1,4 +1,4 @@
-"""A recording estimated and compared with its truth: the run, its JSON and its files."""
+"""Estimation of a recording and comparison with its truth: the run, its JSON and its files."""
 
 from __future__ import annotations
 
@@ -38,24 +38,24 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.short_repr import ShortRepr
 from glissando.solver.gauss_newton import Progress, SolverOptions
 
-_PAUSE = 1.0  # s that readings pause
-_OBSERVED = 0.98  # of what was stated of a sensor parameter: below it, readings determine it
+_PAUSE = 1.0  # s, longest usual pause between readings
+_OBSERVED = 0.98  # posterior over prior std of a sensor parameter, below which it is observed
 
 
 @dataclass(frozen=True)
 class Run(ShortRepr):
-    """A recording estimated: what went in, the posterior, and its errors against truth.
+    """An estimate of a recording: input streams, posterior, and errors against truth.
 
     Attributes:
         recording: The recording.
-        robot: The robot it was estimated as.
-        window: First and last time that was estimated, s.
+        robot: The robot of the estimate.
+        window: First and last time of the estimate, s.
         readings: Streams that were used, inside the window.
-        truth: Streams to compare with, put right by the robot file's sensor parameters.
-        dropped: Rows that were not used, counted by stream and reason.
+        truth: Streams to compare with, corrected by the robot file's sensor parameters.
+        dropped: Numbers of rows that were not used, by stream and reason.
         posterior: The estimate.
         errors: Errors against each truth stream.
-        findings: What is implausible about the readings or the estimate.
+        findings: Findings of the plausibility checks on readings and estimate.
     """
 
     recording: Recording
@@ -69,14 +69,14 @@ class Run(ShortRepr):
     findings: list[Finding] = field(default_factory=list)
 
     def consistency(self) -> list[Consistency]:
-        """Whether confidence is true: errors against truth, then innovations of the readings."""
+        """Consistency of the errors against truth, then of the innovations of the readings."""
         parameters = self.robot.sensor_parameters
         return [*check(self.errors), *check_readings(self.posterior, self.readings, parameters)]
 
     def sensor_parameters(self) -> list[dict[str, Any]]:
         """Every estimated sensor parameter: value and std at mid recording, RMS over time.
 
-        Also whether readings determine any of it, or it is as uncertain as it was stated.
+        "observed" is whether readings reduce the standard deviation of any of its components.
         """
         out = []
         for parameter, _ in self.posterior.sensor_parameters:
@@ -96,19 +96,19 @@ class Run(ShortRepr):
         return out
 
     def refused(self) -> dict[str, list[float]]:
-        """Times (s) of each stream's readings that all others refute, which were not used."""
+        """Times, s, of the readings rejected as contradicting all others, by stream."""
         rows = self.posterior.solve.refused
         return {r.label: r.time[rows[r.label]].tolist() for r in self.readings if r.label in rows}
 
     def _log_evidence(self) -> float | None:
-        """The log evidence (22), if the prior alone says enough of all states."""
+        """Log evidence (22); None if the prior alone does not determine all states."""
         try:
             return self.posterior.log_evidence
         except (np.linalg.LinAlgError, UnobservableError):
             return None
 
     def as_json(self) -> dict[str, Any]:
-        """The run's settings and results as JSON holds them, SI units and radians."""
+        """Settings and results of the run as a JSON object, in SI units and radians."""
         solve = self.posterior.solve
         return {
             "recording": self.recording.name,
@@ -136,16 +136,16 @@ class Run(ShortRepr):
 
 
 def checked_window(recording: Recording, window: tuple[float, float] | None) -> tuple[float, float]:
-    """The window to estimate: as given, else the recording's own, else that of its sensors.
+    """The window to estimate: as given, else the recording's own, else the span of its sensors.
 
     Args:
         recording: The recording.
-        window: First and last time, s.
+        window: First and last time, s, or None.
 
     Raises:
-        RecordingError: Unless the window is finite and longer than nothing.
+        RecordingError: The window is not finite, or empty.
     """
-    sensors, _ = recording.choose(None, None)  # where truth goes on alone nothing is estimated
+    sensors, _ = recording.choose(None, None)  # times with truth alone are not estimated
     first, last = window or recording.window or recording.span(sensors)
     if not (np.isfinite(first) and np.isfinite(last)):
         raise RecordingError(f"The window {first:g} to {last:g} s is not finite; give seconds.")
@@ -158,7 +158,7 @@ def checked_window(recording: Recording, window: tuple[float, float] | None) -> 
 
 
 def _repeats(recording: Recording) -> str:
-    """What to say of rows that were left out as repeats."""
+    """Part of a sentence on rows that were left out as repeats; empty if there are none."""
     counts = {name: s.rows.dropped.get("repeated", 0) for name, s in recording.streams.items()}
     said = ", ".join(f"{n} rows of {name}" for name, n in counts.items() if n)
     return f" ({said} repeat the one before; keep_repeats = true keeps them)" if said else ""
@@ -171,21 +171,23 @@ def chosen_streams(
     use: Sequence[str] | None,
     truth: Sequence[str] | None,
 ) -> tuple[list[Readings], list[Readings], dict[str, dict[str, int]]]:
-    """The streams to use and the truth to compare with, inside a window.
+    """Choose the streams to use and the truth to compare with, inside a window.
 
     Args:
         recording: The recording.
-        robot: Its noise stands in where a stream states none; its known sensor parameters put
-            truth right.
+        robot: The robot; its file states the noise of streams that state none, and the sensor
+            parameters that correct truth.
         window: First and last time, s.
-        use: Names of streams to use; all but truth unless given.
-        truth: Names of truth streams; those that are marked so unless given.
+        use: Names of streams to use; by default all but truth.
+        truth: Names of truth streams; by default those marked as truth in the recording.
 
     Returns:
-        Readings to use, truth that is not empty, and the rows dropped by stream and reason.
+        Readings to use, truth streams that are not empty, and the numbers of rows dropped by
+        stream and reason.
 
     Raises:
-        RecordingError: If the recording has no such stream.
+        RecordingError: The recording has no such stream, or a named stream has no rows in the
+            window.
     """
     require_rows(recording, [*(use or ()), *(truth or ())], window)
     use, truth = recording.choose(use, truth)
@@ -199,7 +201,7 @@ def chosen_streams(
 
 
 def _warn_of_prediction(readings: Sequence[Readings], window: tuple[float, float]) -> None:
-    """Warn of a window whose beginning or end is farther from any reading than a pause would be."""
+    """Warn if the window begins or ends more than a usual pause before or after all readings."""
     times = [r.time for r in readings if len(r)]
     if not times:
         return
@@ -214,7 +216,7 @@ def _warn_of_prediction(readings: Sequence[Readings], window: tuple[float, float
 
 
 def _warn_of_other_times(truth: Stream, window: tuple[float, float]) -> None:
-    """Warn that a truth stream has no reading inside a window, and so judges nothing."""
+    """Warn that a truth stream has no reading inside the window."""
     times = truth.rows.time
     if times.size:
         span = seconds(float(times.min()), float(times.max()))
@@ -227,7 +229,7 @@ def _warn_of_other_times(truth: Stream, window: tuple[float, float]) -> None:
 
 
 def require_rows(recording: Recording, names: Sequence[str], window: tuple[float, float]) -> None:
-    """Raise RecordingError unless streams that were asked for are there and have rows in a window.
+    """Raise RecordingError unless the named streams exist and have rows in a window.
 
     Args:
         recording: The recording.
@@ -263,17 +265,18 @@ def run_estimate(
     Args:
         recording: The recording.
         robot: The robot with its prior, grid and sensor parameters.
-        window: First and last time, s; the recording's own unless given.
-        use: Names of streams to use; all but truth unless given.
-        truth: Names of truth streams; those that are marked so unless given.
-        progress: Called after each iteration, as `estimate` does.
-        allow: Checks of plausibility that are left out, besides the recording's own.
-        start: An earlier estimate of the same robot to start from, instead of rest.
-        max_iterations: Most iterations, unless the solver's own.
+        window: First and last time, s; by default that of the recording.
+        use: Names of streams to use; by default all but truth.
+        truth: Names of truth streams; by default those marked as truth in the recording.
+        progress: Called after each iteration, as by `estimate`.
+        allow: Names of plausibility checks to skip, in addition to the recording's own.
+        start: An earlier estimate of the same robot as initial states; by default the rest state.
+        max_iterations: Largest number of iterations; by default that of `SolverOptions`.
 
     Raises:
-        RecordingError: For an empty window, an unknown stream, or nothing to use.
-        ImplausibleError: Readings cannot be what they are said to be, or the estimate broke down.
+        RecordingError: The window is empty, a stream is unknown, or there are no readings.
+        ImplausibleError: Readings contradict their declared units, frames or clocks, or the robot,
+            or the estimate fails numerically.
     """
     window = checked_window(recording, window)
     readings, references, dropped = chosen_streams(recording, robot, window, use, truth)
@@ -318,19 +321,19 @@ def _require_readings(
 
 
 def write_run(run: Run, folder: Path, **more: Any) -> list[Path]:
-    """Write report.json and posterior.nc into a folder: the same bytes for the same run.
+    """Write report.json and posterior.nc into a folder, reproducibly to the byte.
 
     Args:
         run: The run.
-        folder: Where to write; made if it is missing.
-        **more: Further entries of the report, such as what was asked for.
+        folder: Output folder; created if missing.
+        **more: Further entries of the report, such as the command's options.
 
     Returns:
         Paths of both files.
     """
     report, saved = folder / "report.json", folder / "posterior.nc"
     results = run.as_json() | more
-    del results["seconds"]  # which differ from run to run
+    del results["seconds"]  # the computing time differs from run to run
     write_report(report, results)
     save_posterior(run.posterior, saved)
     return [report, saved]

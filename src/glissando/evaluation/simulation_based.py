@@ -1,9 +1,10 @@
-"""Simulation-based calibration: is a robot file's confidence true of what its own prior says.
+"""Simulation-based calibration: consistency of the posterior with a robot file's own prior.
 
-Sessions are drawn from the prior, estimated, and the truth's rank in the posterior noted. If prior,
-sensors and estimator fit together, ranks are uniform. Source: Talts et al., *Validating Bayesian
-Inference Algorithms with Simulation-Based Calibration* (2018); bands from Säilynoja, Bürkner and
-Vehtari, *Graphical test for discrete uniformity* (Statistics and Computing 32, 2022).
+Sessions are drawn from the prior and estimated, and the truth's rank in the posterior is recorded.
+If prior, sensors and estimator are consistent, the ranks are uniform. Source: Talts et al.,
+*Validating Bayesian Inference Algorithms with Simulation-Based Calibration* (2018); bands from
+Säilynoja, Bürkner and Vehtari, *Graphical test for discrete uniformity* (Statistics and Computing
+32, 2022).
 """
 
 from __future__ import annotations
@@ -38,14 +39,14 @@ QUANTITIES = (
     *(f"{field} {axis}" for field in FIELDS for axis in ("x", "y", "z", "rx", "ry", "rz")),
     *(f"{field}, all six" for field in FIELDS),
 )
-"""What of a state is ranked: each number, and the squared normalised error of each six."""
+"""Ranked quantities of a state: each component, and the squared normalised error of each six."""
 
-_POINTS = 40  # at which a distribution function is compared
-_SIMULATED = 20_000  # sets of uniform ranks that bands come from
+_POINTS = 40  # intervals of (0, 1), between which the distribution function is compared
+_SIMULATED = 20_000  # simulated sets of uniform ranks, from which bands are computed
 _FEWEST = 20
 
 Progress = Callable[[int, int], None]
-"""Called after each session with its number and how many there will be."""
+"""Called after each session with its number from 1 and the number of sessions."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class RankCheck:
     Attributes:
         name: The quantity.
         ranks: Probability integral transforms (M,) of the truth under the posterior.
-        p_value: Chance that uniform ranks stray as far somewhere.
+        p_value: Probability that uniform ranks deviate as far at any point.
     """
 
     name: str
@@ -64,20 +65,20 @@ class RankCheck:
 
     @property
     def ecdf_difference(self) -> Array:
-        """Share of ranks (P,) below each of `rank_points`, less that of uniform ranks."""
+        """Empirical distribution function (P,) of the ranks at `rank_points`, minus the uniform."""
         points = rank_points()
         return np.searchsorted(np.sort(self.ranks), points, side="right") / self.ranks.size - points
 
 
 @dataclass(frozen=True)
 class SimulationCheck:
-    """Ranks of every quantity, and whether all are uniform together.
+    """Ranks of every quantity, and a joint test of their uniformity.
 
     Attributes:
         estimator: 'batch' or 'online'.
-        checks: The quantities.
-        level: Probability with which all stay in their bands if confidence is true.
-        not_converged: How many estimates did not converge; their ranks count.
+        checks: Ranks of each quantity.
+        level: Probability that all ranks stay in their bands if the posterior is consistent.
+        not_converged: Number of estimates that did not converge; their ranks are included.
     """
 
     estimator: str
@@ -87,16 +88,16 @@ class SimulationCheck:
 
     @property
     def outside(self) -> list[RankCheck]:
-        """The quantities whose ranks leave their band."""
+        """Checks of the quantities whose ranks leave their band."""
         return [c for c in self.checks if c.p_value < self.p_limit]
 
     @property
     def p_limit(self) -> float:
-        """The chance below which a quantity is outside: all of them share 1 − level."""
+        """The p-value below which a quantity is outside: 1 − level over their number."""
         return (1.0 - self.level) / len(self.checks)
 
     def as_json(self) -> dict[str, Any]:
-        """The verdict and every quantity, as JSON holds it."""
+        """The result of the test and of every quantity, as a JSON object."""
         return {
             "estimator": self.estimator,
             "sessions": int(self.checks[0].ranks.size),
@@ -116,38 +117,38 @@ class SimulationCheck:
 
 
 def rank_points() -> Array:
-    """Where distribution functions are compared, evenly inside (0, 1)."""
+    """Evenly spaced points inside (0, 1) at which distribution functions are compared."""
     return np.arange(1, _POINTS) / _POINTS
 
 
 @cache
 def _tails(count: int) -> Array:
-    """Two-sided tail probability (count + 1, P) of every number below each point, if uniform."""
+    """Two-sided tail probabilities (count + 1, P) of 0 … count uniform ranks below each point."""
     lower = bdtr(np.arange(count + 1)[:, None], count, rank_points())
     upper = 1.0 - np.vstack([np.zeros(lower.shape[1]), lower[:-1]])
     return np.minimum(1.0, 2.0 * np.minimum(lower, upper))
 
 
 def _least_tail(below: Index, count: int) -> Array:
-    """The least tail probability (S,) of numbers of ranks (S, P) below each point."""
+    """Least tail probability (S,) over the points, for numbers (S, P) of ranks below each."""
     out: Array = np.take_along_axis(_tails(count), below, axis=0).min(axis=1)
     return out
 
 
 @cache
 def _least_tails(count: int) -> Array:
-    """The least tail probability of uniform ranks (S,), sorted, from simulation."""
+    """Least tail probabilities (S,) of simulated sets of uniform ranks, sorted."""
     rng = np.random.default_rng(0)
     drawn = rng.multinomial(count, np.full(_POINTS, 1.0 / _POINTS), _SIMULATED)
     return np.sort(_least_tail(np.cumsum(drawn, axis=1)[:, :-1], count))
 
 
 def bands(count: int, chance: float) -> tuple[Array, Array]:
-    """Band of the ECDF difference (P,) that uniform ranks leave anywhere with a given chance.
+    """Simultaneous band of the ECDF difference (P,) of uniform ranks.
 
     Args:
         count: Number of ranks.
-        chance: Probability of leaving it.
+        chance: Probability that uniform ranks leave the band at any point.
 
     Returns:
         Lower and upper limits at `rank_points`.
@@ -160,10 +161,10 @@ def bands(count: int, chance: float) -> tuple[Array, Array]:
 
 
 def rank_checks(ranks: dict[str, Array]) -> list[RankCheck]:
-    """Check ranks (M,) of each quantity for uniformity at all points together.
+    """Test ranks of each quantity for uniformity, simultaneously at all points.
 
     Args:
-        ranks: Probability integral transforms by quantity, equally many of each.
+        ranks: Probability integral transforms (M,) by quantity, with the same M for all.
     """
     count = len(next(iter(ranks.values())))
     tails, points = _least_tails(count), rank_points()
@@ -177,11 +178,11 @@ def rank_checks(ranks: dict[str, Array]) -> list[RankCheck]:
 
 
 def scaled_prior(prior: Prior, factor: float) -> Prior:
-    """The prior with all its standard deviations times a factor.
+    """Copy of a prior with all its standard deviations multiplied by a factor.
 
     Args:
         prior: The prior.
-        factor: What to multiply with.
+        factor: Factor of the standard deviations.
     """
     table = prior.to_table()
 
@@ -213,23 +214,24 @@ def simulate_and_rank(
 ) -> list[SimulationCheck]:
     """Draw sessions from a robot's prior, estimate each, and check the ranks of the truth.
 
-    In each session the state at one random place is ranked, online that of the newest time, and
-    the sensor parameters at the same time; so ranks of different sessions are independent.
+    In each session the state at one random place and time (online the newest time) is ranked, and
+    the sensor parameters at the same time, so that ranks of different sessions are independent.
 
     Args:
         robot: The robot.
-        sessions: How many to draw.
-        layout: Grid and readings whose places, times and noise to take; of `session_layout` unless
-            given.
-        estimators: Some of 'batch' and 'online'.
-        prior_factor: Standard deviations of the prior that estimates with, over those drawn from.
-        seed: Of all chance.
-        level: Probability that all ranks stay in their bands if confidence is true.
+        sessions: Number of sessions.
+        layout: Grid, and readings whose places, times and noise are used; by default those of
+            `session_layout`.
+        estimators: 'batch', 'online', or both.
+        prior_factor: Factor of the standard deviations of the prior for estimation, relative to
+            the prior for drawing.
+        seed: Seed of all random numbers.
+        level: Probability that all ranks stay in their bands if the posterior is consistent.
         progress: Called after each session.
 
     Raises:
-        GlissandoError: There are too few sessions, or the prior cannot be drawn from, be it that
-            it is far from its linearisation.
+        GlissandoError: There are too few sessions, or the prior cannot be drawn from, for instance
+            because its linearisation does not hold.
     """
     if sessions < _FEWEST:
         raise GlissandoError(f"{sessions} sessions say nothing of ranks; draw {_FEWEST} or more.")
@@ -262,7 +264,7 @@ def simulate_and_rank(
 
 
 def _estimated(robot: Robot, grid: Grid, readings: list[Readings], *, online: bool) -> Posterior:
-    """The posterior of all readings, or what the smoother has left of it at the end."""
+    """Batch posterior of all readings, or with `online` that of the smoother's last window."""
     parameters = robot.sensor_parameters
     if online:
         smoother = FixedLagSmoother(
@@ -283,7 +285,7 @@ def _estimated(robot: Robot, grid: Grid, readings: list[Readings], *, online: bo
 def _ranks(
     posterior: Posterior, predictive: PriorPredictive, session: Session, at: tuple[int, int]
 ) -> dict[str, float]:
-    """Ranks of the truth at a fine node, and of the sensor parameters at the next time node."""
+    """Ranks of the truth at a fine node, and of the sensor parameters at the nearest time node."""
     k, n = at
     fine = predictive.fine
     estimate: StateEstimate = posterior.at(fine.arclength[n], fine.time[k])
@@ -307,5 +309,5 @@ def _ranks(
 
 
 def _rank_of_square(error: Array, cov: Array) -> float:
-    """Rank of the squared normalised length of an error (r,) among those that cov (r, r) gives."""
+    """Rank of an error's (r,) squared Mahalanobis norm in its χ² distribution, for cov (r, r)."""
     return float(chdtr(error.size, error @ np.linalg.solve(cov, error)))
