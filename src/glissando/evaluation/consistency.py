@@ -158,11 +158,11 @@ def _at_site(errors: Errors, quantity: str) -> Consistency | None:
         return None
     dof = errors.dof_rotation if quantity == "rotation" else 3
     white = getattr(errors, f"white_{quantity}")
-    worth = effective_samples(nees)
+    effective = effective_samples(nees)
     if len(white) == nees.size:
-        worth = min(worth, effective_errors(white))
+        effective = min(effective, effective_errors(white))
     place = float(np.mean(errors.arclength))
-    return Consistency(errors.name, place, quantity, nees, dof, worth)
+    return Consistency(errors.name, place, quantity, nees, dof, effective)
 
 
 def _consistency(site: str, arclength: Array, quantity: str, nees: Array, dof: int) -> Consistency:

@@ -38,22 +38,22 @@ def effective_errors(white: Array) -> float:
     if count < 4 or not varies.any():
         return float(max(count, 1))
     white = white[:, varies]
-    none = _CHANCE / white.size
-    together = _autocorrelation(white) ** 2
-    each = np.mean([_autocorrelation(axis[:, None]) ** 2 for axis in white.T], axis=0)
-    by_chance = (1.0 - 1.0 / white.shape[1]) * _spread(together, none) / count
-    spread = _spread(together + np.maximum(each - together - by_chance, 0.0), none)
+    chance = _CHANCE / white.size
+    pooled = _autocorrelation(white) ** 2
+    per_axis = np.mean([_autocorrelation(axis[:, None]) ** 2 for axis in white.T], axis=0)
+    by_chance = (1.0 - 1.0 / white.shape[1]) * _spread(pooled, chance) / count
+    spread = _spread(pooled + np.maximum(per_axis - pooled - by_chance, 0.0), chance)
     return float(np.clip(count / max(spread, 1e-12), 1.0, count))
 
 
-def _spread(squares: Array, none: float) -> float:
-    """Sum of squared correlations (M,) over lags of both signs, until a pair is below `none`."""
+def _spread(squares: Array, chance: float) -> float:
+    """Sum of squared correlations (M,) over lags of both signs, until a pair is below `chance`."""
     count = squares.size
     pairs = squares[0 : count - 1 : 2] + squares[1:count:2]
-    over = np.flatnonzero(pairs < none)
+    over = np.flatnonzero(pairs < chance)
     last = min(2 * int(over[0]) if over.size else count, int(_LONGEST * count))
-    left = 1.0 - np.arange(last) / count  # share of pairs at each lag, which biases their sum
-    return 2.0 * float(np.sum(squares[:last] / left)) - 1.0
+    pair_share = 1.0 - np.arange(last) / count  # share of pairs at each lag, which biases their sum
+    return 2.0 * float(np.sum(squares[:last] / pair_share)) - 1.0
 
 
 def _autocorrelation(values: Array) -> Array:

@@ -118,8 +118,8 @@ class ForeignEstimate(ShortRepr):
         whole[:, :6, :6] = (1.0 - share)[:, None, None] * cov[lower, rows]
         whole[:, :6, :6] += share[:, None, None] * cov[upper, rows]
         zeros = np.zeros((place.size, 6))
-        part = _on_arc if self.turns else _part
-        return StateEstimate(part(near, far, share), zeros, zeros, whole)
+        interpolated = _on_arc if self.turns else _on_line
+        return StateEstimate(interpolated(near, far, share), zeros, zeros, whole)
 
     def errors(self, truth: Readings) -> Errors:
         """Errors at the samples of a truth stream that the estimate covers, outside its gaps."""
@@ -255,7 +255,7 @@ def foreign_report(
             f"No truth of {recording.name} lies within the estimate's arclengths and times; name "
             f"streams with --truth, or check units and clock."
         )
-    sure = all(np.all(np.isfinite(e.nees_position)) for e in errors)
+    has_covariances = all(np.all(np.isfinite(e.nees_position)) for e in errors)
     return {
         "recording": recording.name,
         "robot": robot.name,
@@ -266,7 +266,7 @@ def foreign_report(
         "calibration": [],
         "overall": pool(errors).summary(),
         "sites": [e.site_summary() for e in errors],
-        "consistency": [c.as_json() for c in check(errors)] if sure else [],
+        "consistency": [c.as_json() for c in check(errors)] if has_covariances else [],
     }
 
 
@@ -316,7 +316,7 @@ def _between(time: Array, pose: Array, cov: Array, when: Array) -> tuple[Array, 
     k = np.clip(np.searchsorted(time, when) - 1, 0, time.size - 2)
     share = np.clip((when - time[k]) / (time[k + 1] - time[k]), 0.0, 1.0)
     part = share[:, None, None]
-    return _part(pose[k], pose[k + 1], share), (1.0 - part) * cov[k] + part * cov[k + 1]
+    return _on_line(pose[k], pose[k + 1], share), (1.0 - part) * cov[k] + part * cov[k + 1]
 
 
 def _on_arc(near: Array, far: Array, share: Array) -> Array:
@@ -325,7 +325,7 @@ def _on_arc(near: Array, far: Array, share: Array) -> Array:
     return np.asarray(near @ se3.exp(share[:, None] * twist))
 
 
-def _part(near: Array, far: Array, share: Array) -> Array:
+def _on_line(near: Array, far: Array, share: Array) -> Array:
     """Poses (M, 4, 4) at a share of the way, on a straight line with constant rotation rate."""
     position = near[:, :3, 3] + share[:, None] * (far[:, :3, 3] - near[:, :3, 3])
     turn = se3.so3_log(np.swapaxes(near[:, :3, :3], 1, 2) @ far[:, :3, :3])

@@ -52,22 +52,24 @@ def leave_out(
         watch: Called before each estimate: one for each stream if there are several, and three.
     """
     streams = [r.inside(grid) for r in readings if len(r) and r.reads_one_state]
-    odd = [_stretch(r, grid) for r in streams]
+    in_odd_interval = [_stretch(r, grid) for r in streams]
     jobs: list[tuple[str, list[Readings], list[Readings]]] = []
     if len(streams) > 1:
         for k, r in enumerate(streams):
             jobs.append(("by the others", streams[:k] + streams[k + 1 :], [r]))
     for flip in (False, True):
-        used = [r.select(o ^ flip) for r, o in zip(streams, odd, strict=True)]
-        left = [r.select(~(o ^ flip)) for r, o in zip(streams, odd, strict=True)]
-        jobs.append(("by other times", used, left))
+        used = [r.select(o ^ flip) for r, o in zip(streams, in_odd_interval, strict=True)]
+        held_out = [r.select(~(o ^ flip)) for r, o in zip(streams, in_odd_interval, strict=True)]
+        jobs.append(("by other times", used, held_out))
     jobs.append(("by the prior", [], streams))
     errors: dict[tuple[str, str], list[Array]] = {}
-    for number, (quantity, used, left) in enumerate(jobs):
+    for number, (quantity, used, held_out) in enumerate(jobs):
         if watch is not None:
-            names = ", ".join(r.label for r in left) if quantity == "by the others" else "stretches"
+            names = (
+                ", ".join(r.label for r in held_out) if quantity == "by the others" else "stretches"
+            )
             watch(names if quantity != "by the prior" else "all", number, len(jobs))
-        for r, white in _predicted(robot, grid, used, left):
+        for r, white in _predicted(robot, grid, used, held_out):
             errors.setdefault((quantity, r.label), []).append(white)
     return list(_judged(errors, {r.label: r for r in streams}))
 
@@ -85,18 +87,18 @@ def _judged(
 ) -> Iterator[Consistency]:
     for (quantity, name), parts in errors.items():
         squares = [np.sum(part**2, axis=1) for part in parts]
-        worth = sum(
+        effective = sum(
             min(effective_samples(square), effective_errors(part))
             for square, part in zip(squares, parts, strict=True)
         )
         nees = np.concatenate(squares)
         r = streams[name]
         place = float(np.mean(r.arclength))
-        yield Consistency(name, place, quantity, nees, r.row_count, worth)
+        yield Consistency(name, place, quantity, nees, r.row_count, effective)
 
 
 def _predicted(
-    robot: Robot, grid: Grid, used: Sequence[Readings], left: Sequence[Readings]
+    robot: Robot, grid: Grid, used: Sequence[Readings], held_out: Sequence[Readings]
 ) -> Iterator[tuple[Readings, Array]]:
     """Yield each stream that is left out, and its whitened prediction errors (M, r).
 
@@ -112,7 +114,7 @@ def _predicted(
     except UnobservableError:
         return
     known = [parameter for parameter in parameters if parameter.known]
-    for r in left:
+    for r in held_out:
         if len(r):
             some = evenly_chosen(len(r), _ROWS)
             part = corrected(r.select(some), known)

@@ -128,18 +128,18 @@ def errors_against(estimate: StateSource, truth: Readings) -> Errors:
     if not isinstance(truth, OrientationReadings):
         where = truth.values[:, :3, 3] if truth.values.ndim == 3 else truth.values
         error = np.einsum("mji,mj->mi", at[:, :3, :3], where - at[:, :3, 3])
-        own = truth.cov[..., :3, :3]
+        truth_cov = truth.cov[..., :3, :3]
         if isinstance(truth, PositionReadings):  # stated in the world frame
-            own = np.swapaxes(at[:, :3, :3], -1, -2) @ own @ at[:, :3, :3]
+            truth_cov = np.swapaxes(at[:, :3, :3], -1, -2) @ truth_cov @ at[:, :3, :3]
         cov = body.position_covariance(truth.mount)
-        position, nees_position = np.linalg.norm(error, axis=1), _squared(error, cov + own)
-        white[0] = _white(error, cov + own)
+        position, nees_position = np.linalg.norm(error, axis=1), _squared(error, cov + truth_cov)
+        white[0] = _white(error, cov + truth_cov)
         sigmas = np.sqrt(_squared(error, cov + _LEAST_VARIANCE * np.eye(3)))
     if truth.values.ndim == 3:
         error = _rotation_error(at[:, :3, :3], truth)
-        own = truth.cov[..., -dof:, -dof:]
+        truth_cov = truth.cov[..., -dof:, -dof:]
         turn = np.swapaxes(truth.mount[..., :3, :3], -1, -2)[..., :dof, :]
-        cov = turn @ body.cov[:, 3:6, 3:6] @ np.swapaxes(turn, -1, -2) + own
+        cov = turn @ body.cov[:, 3:6, 3:6] @ np.swapaxes(turn, -1, -2) + truth_cov
         rotation, nees_rotation = np.linalg.norm(error, axis=1), _squared(error, cov)
         white[1] = _white(error, cov)
     numbers = position, rotation, nees_position, nees_rotation, sigmas

@@ -56,12 +56,12 @@ def differences(before: Any, now: Any, key: str = "", std: Any = 0.0) -> Iterato
     """
     if isinstance(before, dict) and isinstance(now, dict):
         for name in dict.fromkeys((*before, *now)):
-            beside = now.get("std") if name != "std" else None
-            yield from differences(before.get(name), now.get(name), _within(key, name), beside)
+            stds = now.get("std") if name != "std" else None
+            yield from differences(before.get(name), now.get(name), _within(key, name), stds)
     elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
         each = std if isinstance(std, list) and len(std) == len(now) else [0.0] * len(now)
-        for i, (then, here) in enumerate(zip(before, now, strict=True)):
-            yield from differences(then, here, _within(key, i), each[i])
+        for i, (old, new) in enumerate(zip(before, now, strict=True)):
+            yield from differences(old, new, _within(key, i), each[i])
     elif before != now and not (before != before and now != now):  # both may be no number
         yield Difference(key, before, now, std if _is_number(std) else 0.0)
 
@@ -88,16 +88,16 @@ def table_difference(before: Path, now: Path) -> float:
     if len({tuple(map(len, table)) for table in tables}) > 1:
         return np.inf
     difference = 0.0
-    for then, here in zip(*(zip(*table, strict=True) for table in tables), strict=True):
-        pairs = [pair for pair in zip(then, here, strict=True) if pair[0] != pair[1]]
+    for old, new in zip(*(zip(*table, strict=True) for table in tables), strict=True):
+        pairs = [pair for pair in zip(old, new, strict=True) if pair[0] != pair[1]]
         if pairs:
             try:
-                column = np.array([_number(cell) for cell in here])
-                apart = [abs(float(a) - float(b)) for a, b in pairs]
+                column = np.array([_number(cell) for cell in new])
+                differing = [abs(float(a) - float(b)) for a, b in pairs]
             except ValueError:
                 return np.inf
             size = float(np.nanmax(np.abs(column), initial=0.0))
-            largest = max(apart) / size if size > 0.0 else np.inf
+            largest = max(differing) / size if size > 0.0 else np.inf
             difference = max(difference, largest if np.isfinite(largest) else np.inf)
     return difference
 
@@ -132,7 +132,7 @@ def posterior_difference(before: Posterior, now: Posterior) -> tuple[float, floa
         np.sqrt(np.einsum("kii->ki", p.marginals.cov[:, :size, :size])) for p in (now, before)
     )
     fields = zip(before.state.fields(), now.state.fields(), strict=True)
-    equal = all(np.array_equal(then, here) for then, here in fields)
+    equal = all(np.array_equal(old, new) for old, new in fields)
     step = 0.0 * std if equal else before.state.difference(now.state).reshape(std.shape)
     return float(np.max(np.abs(step) / std)), float(np.max(np.abs(former / std - 1.0)))
 

@@ -160,8 +160,8 @@ def checked_window(recording: Recording, window: tuple[float, float] | None) -> 
 def _repeats(recording: Recording) -> str:
     """Part of a sentence on rows that were left out as repeats; empty if there are none."""
     counts = {name: s.rows.dropped.get("repeated", 0) for name, s in recording.streams.items()}
-    said = ", ".join(f"{n} rows of {name}" for name, n in counts.items() if n)
-    return f" ({said} repeat the one before; keep_repeats = true keeps them)" if said else ""
+    listed = ", ".join(f"{n} rows of {name}" for name, n in counts.items() if n)
+    return f" ({listed} repeat the one before; keep_repeats = true keeps them)" if listed else ""
 
 
 def chosen_streams(

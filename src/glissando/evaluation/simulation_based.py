@@ -238,7 +238,7 @@ def simulate_and_rank(
     grid, readings = layout or session_layout(robot)
     predictive = PriorPredictive(robot, grid, readings)
     predictive.require_exact(np.random.default_rng(seed))
-    believed = replace(robot, prior=scaled_prior(predictive.prior, prior_factor))
+    scaled_robot = replace(robot, prior=scaled_prior(predictive.prior, prior_factor))
     ranked: dict[str, list[dict[str, float]]] = {name: [] for name in estimators}
     failed = dict.fromkeys(estimators, 0)
     for i in range(sessions):
@@ -247,7 +247,7 @@ def simulate_and_rank(
         k, n = (int(rng.integers(size)) for size in predictive.fine.shape)
         for name in estimators:
             at = (k if name == "batch" else predictive.fine.shape[0] - 1, n)
-            posterior = _estimated(believed, grid, session.readings, online=name == "online")
+            posterior = _estimated(scaled_robot, grid, session.readings, online=name == "online")
             failed[name] += not posterior.solve.converged
             ranked[name].append(_ranks(posterior, predictive, session, at))
         if progress is not None:

@@ -65,8 +65,8 @@ class Candidate:
         except NotImplementedError:  # linear in strain or velocity: values do not alter Jacobians
             shape = sensor.value_shape or (np.size(self.settings["core_radius"]),)
             values = np.zeros((place.size, *shape))
-        given = {"values": values, "cov": self.cov, "name": self.name, **self.settings}
-        return sensor(time=when, arclength=place, **given)
+        fields = {"values": values, "cov": self.cov, "name": self.name, **self.settings}
+        return sensor(time=when, arclength=place, **fields)
 
 
 def candidates_of(
@@ -97,33 +97,35 @@ def candidates_of(
     """
     if not (np.isfinite(cost) and cost > 0.0):
         raise GlissandoError(f"A {kind} that costs {cost:g} cannot be; give a cost above 0.")
-    of = "coil" if kind == SLIDE else kind
-    sensor = sensor_class(of)
+    reading_kind = "coil" if kind == SLIDE else kind
+    sensor = sensor_class(reading_kind)
     if sensor.spans:
         raise GlissandoError(f"A {kind} reads the whole robot, and has no place to choose.")
-    known = robot.sensor_std.get(of) if std is None else std
-    if known is None:
+    std_of_rows = robot.sensor_std.get(reading_kind) if std is None else std
+    if std_of_rows is None:
         raise GlissandoError(
-            f"Robot {robot.name} states no noise of a {of}; give {kind}=COST:STD, or add "
-            f"[sensors.{of}] with a std to its file."
+            f"Robot {robot.name} states no noise of a {reading_kind}; give {kind}=COST:STD, or add "
+            f"[sensors.{reading_kind}] with a std to its file."
         )
-    noise = _std(known, of, 3 if kind == FIBRE else sensor.rows) ** 2
+    noise = _std(std_of_rows, reading_kind, 3 if kind == FIBRE else sensor.rows) ** 2
     if kind == SLIDE:
         if slide is None:
             raise GlissandoError("A slide needs a reach and a speed.")
         low, high, speed = slide
-        swing = _swing(low, high, speed)
-        return [Candidate(f"slide {_mm(low)}–{_mm(high)}", of, cost, noise, rate, swing)]
+        swing = _oscillation(low, high, speed)
+        return [Candidate(f"slide {_mm(low)}–{_mm(high)}", reading_kind, cost, noise, rate, swing)]
     if kind == FIBRE:
         nodes = np.linspace(0.0, robot.length, _GRATINGS)
-        return [Candidate("fibre", of, cost, noise, rate, _fixed(nodes), _CORES)]
+        return [Candidate("fibre", reading_kind, cost, noise, rate, _fixed(nodes), _CORES)]
     places = np.linspace(robot.length / count, robot.length, count)
-    return [Candidate(f"{kind} {_mm(s)}", of, cost, noise, rate, _fixed([s])) for s in places]
+    return [
+        Candidate(f"{kind} {_mm(s)}", reading_kind, cost, noise, rate, _fixed([s])) for s in places
+    ]
 
 
-def _std(given: Array, kind: str, rows: int) -> Array:
+def _std(value: Array, kind: str, rows: int) -> Array:
     """Standard deviations (rows,) of a reading; raises GlissandoError if they are implausible."""
-    std, (most, unit) = np.atleast_1d(given), _LARGEST.get(kind, (np.inf, ""))
+    std, (most, unit) = np.atleast_1d(value), _LARGEST.get(kind, (np.inf, ""))
     if std.size == 2 and rows in (5, 6):
         std = np.repeat(std, 3)[:rows]
     likely = np.all(np.isfinite(std) & (std > 0.0)) and std[0] <= most
@@ -151,7 +153,7 @@ def _fixed(places: Any) -> Callable[[Array], Array]:
     return lambda time: np.broadcast_to(row, (time.size, row.size))
 
 
-def _swing(low: float, high: float, speed: float) -> Callable[[Array], Array]:
+def _oscillation(low: float, high: float, speed: float) -> Callable[[Array], Array]:
     """Path of a slide that oscillates at constant speed, from the upper end."""
 
     def places(time: Array) -> Array:

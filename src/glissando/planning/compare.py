@@ -51,17 +51,17 @@ def baseline_paths(
     Returns:
         Arclengths (T,) by name, m.
     """
-    last, at = float(time[-1]), upper - start
+    last, displacement = float(time[-1]), upper - start
     duration = limits.stroke / limits.speed + limits.speed / limits.acceleration
-    ends = [0.0 if at > 0.5 * limits.stroke else limits.stroke]
+    ends = [0.0 if displacement > 0.5 * limits.stroke else limits.stroke]
     while len(ends) * duration < last + duration:
         ends.append(limits.stroke - ends[-1])
     rng = np.random.default_rng(seed)
-    stops = [at, *rng.uniform(0.0, limits.stroke, max(_STOPS, len(ends)))]
+    stops = [displacement, *rng.uniform(0.0, limits.stroke, max(_STOPS, len(ends)))]
     speed = float(np.clip(np.abs(np.diff(stops)).sum() / last, 1e-4, limits.speed))
     paths = {
-        "oscillating": SlidePath.moves([at, *ends], limits),
-        "fixed": SlidePath.hold(at, last, limits),
+        "oscillating": SlidePath.moves([displacement, *ends], limits),
+        "fixed": SlidePath.hold(displacement, last, limits),
         "random": SlidePath.moves(stops, limits, speed=speed),
     }
     return {name: upper - path.at(time) for name, path in paths.items()}
@@ -143,8 +143,8 @@ def evaluate_everywhere(
     read at full rate.
     """
     low, high = problem.reach
-    apart = 0.25 * float(np.diff(problem.ahead.grid.arclength).min())
-    places = np.linspace(low, high, max(3, 1 + int(np.ceil((high - low) / apart))))
+    spacing = 0.25 * float(np.diff(problem.ahead.grid.arclength).min())
+    places = np.linspace(low, high, max(3, 1 + int(np.ceil((high - low) / spacing))))
     prediction = problem.ahead
     for place in places:
         prediction = problem.predict(np.full(problem.steps, place), prediction)

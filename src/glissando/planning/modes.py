@@ -17,7 +17,7 @@ from glissando.model.priors.transitions import symmetrize
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Marginals
 
 _FLOOR = 1e-9  # share of the largest variance, below which there is only rounding
-_LEFT = 0.1  # RMS part of a reading, in its standard deviations, that the modes may leave out
+_NEGLIGIBLE = 0.1  # RMS part of a reading, in its standard deviations, that the modes may leave out
 _MOST = 32  # largest number of modes
 
 
@@ -54,16 +54,16 @@ def find_modes(marginals: Marginals, rows: Array) -> Modes:
 def _measurable(cov: Array, rows: Array) -> Array:
     """Weights (D, d) of the modes of a node with covariance (D, D) that rows (R, D) measure.
 
-    The neglected components change the readings by at most `_LEFT` standard deviations of their
-    noise in the root mean square, unless `_MOST` limits the number of modes.
+    The neglected components change the readings by at most `_NEGLIGIBLE` standard deviations of
+    their noise in the root mean square, unless `_MOST` limits the number of modes.
     """
-    few = np.asarray(np.linalg.qr(rows, mode="r"))  # same normal equations, D rows at most
-    variance, modes = np.linalg.eigh(few @ cov @ few.T)
-    left = np.cumsum(np.maximum(variance, 0.0)) / len(rows)
-    measurable = (left > _LEFT**2) & (variance > _FLOOR * variance[-1])
+    compressed = np.asarray(np.linalg.qr(rows, mode="r"))  # same normal equations, D rows at most
+    variance, modes = np.linalg.eigh(compressed @ cov @ compressed.T)
+    neglected = np.cumsum(np.maximum(variance, 0.0)) / len(rows)
+    measurable = (neglected > _NEGLIGIBLE**2) & (variance > _FLOOR * variance[-1])
     measurable[:-_MOST] = False
     measurable[-1] = True
-    return few.T @ (modes[:, measurable] / np.sqrt(variance[measurable]))
+    return compressed.T @ (modes[:, measurable] / np.sqrt(variance[measurable]))
 
 
 def _reduced(marginals: Marginals, weights: Array) -> Modes:

@@ -105,20 +105,20 @@ class PathObjective:
         return chol, chol.marginals()
 
     @cached_property
-    def _slot(self) -> Index:
+    def _index_in_cell(self) -> Index:
         """Index (Z,) of each point among the points of its time cell."""
         return np.arange(self.cell.size) - np.searchsorted(self.cell, self.cell)
 
     @cached_property
     def _points(self) -> Array:
         """Jacobians (K−1, m, p, 2 d) of each time cell's points, padded with zeros."""
-        most = int(self._slot.max()) + 1
+        most = int(self._index_in_cell.max()) + 1
         out = np.zeros((len(self.problem.modes.pair), most, *self.rows.shape[1:]))
-        out[self.cell, self._slot] = self.rows
+        out[self.cell, self._index_in_cell] = self.rows
         return out
 
     @cached_property
-    def _left(self) -> Array:
+    def _cov_given_modes(self) -> Array:
         """Covariances (Z, p, p) of the points given the modes."""
         modelled = self.rows @ self.problem.modes.pair[self.cell] @ self.rows.mT
         return symmetrize(self.prior_cov - modelled)
@@ -132,8 +132,8 @@ class PathObjective:
         cross[:, :size] = marginals.cov[:-1] @ early + marginals.cross @ late
         cross[:, size:] = marginals.cross.mT @ early + marginals.cov[1:] @ late
         by_point = cross.reshape(cells, wide, count, p).transpose(0, 2, 1, 3)
-        own = (self._points @ by_point)[self.cell, self._slot]
-        return cross, self._left + symmetrize(own)
+        own = (self._points @ by_point)[self.cell, self._index_in_cell]
+        return cross, self._cov_given_modes + symmetrize(own)
 
     def _gradient(
         self,
@@ -153,7 +153,7 @@ class PathObjective:
         cells, count, p, wide = self._points.shape
         first, last = slice(0, wide // 2), slice(wide // 2, wide)
         by_point = np.zeros((cells, count, p, p))
-        by_point[self.cell, self._slot] = gradient
+        by_point[self.cell, self._index_in_cell] = gradient
         own = cross.reshape(cells, wide, count, p).transpose(0, 2, 1, 3)
         weighted = (own @ by_point).transpose(0, 2, 1, 3).reshape(cross.shape)
         gain = -(chol.inverse[:-1].mT @ chol.coupling)

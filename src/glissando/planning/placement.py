@@ -150,11 +150,11 @@ def placement_problem(
         ]
         middles = 0.5 * (grid.time[1:] + grid.time[:-1])
         place, when, weight = zone_points(zones, middles, (0.0, horizon), robot.length)
-        rows, open_ = ahead.points(place, when)
-        wanted = _dense(ahead, Rows(rows.cell, rows.lower, rows.jacobian[:, :3]))
-        wanted *= np.repeat(np.sqrt(weight), 3)[:, None, None]
-        left = float(np.einsum("z,zii->", weight, open_[:, :3, :3]))
-        return replace(_reduced(ahead, candidates, blocks, wanted, left), horizon=horizon)
+        rows, bridge_cov = ahead.points(place, when)
+        zone_rows = _dense(ahead, Rows(rows.cell, rows.lower, rows.jacobian[:, :3]))
+        zone_rows *= np.repeat(np.sqrt(weight), 3)[:, None, None]
+        remaining = float(np.einsum("z,zii->", weight, bridge_cov[:, :3, :3]))
+        return replace(_reduced(ahead, candidates, blocks, zone_rows, remaining), horizon=horizon)
 
 
 def _dense(ahead: PredictedInformation, rows: Rows) -> Array:
@@ -176,21 +176,21 @@ def _reduced(
 ) -> PlacementProblem:
     """Placement problem reduced to the measured directions, whose variance readings can lower."""
     cholesky = factor(ahead.system)
-    seen, wanted_rows = (
+    white_rows, white_zone_rows = (
         cholesky.whitened(rows).reshape(len(rows), -1) for rows in (np.concatenate(blocks), wanted)
     )
-    gained, directions = np.linalg.eigh(seen.T @ seen)
-    worth = np.sum((wanted_rows @ directions) ** 2, axis=0) * gained / (1.0 + gained)
-    order, most = np.argsort(worth), _LEFT * (left + np.sum(wanted_rows**2) - worth.sum())
-    basis = directions[:, order[np.cumsum(worth[order]) > most]]
+    eigenvalue, directions = np.linalg.eigh(white_rows.T @ white_rows)
+    gain = np.sum((white_zone_rows @ directions) ** 2, axis=0) * eigenvalue / (1.0 + eigenvalue)
+    order, most = np.argsort(gain), _LEFT * (left + np.sum(white_zone_rows**2) - gain.sum())
+    basis = directions[:, order[np.cumsum(gain[order]) > most]]
     ends = np.cumsum([len(block) for block in blocks])[:-1]
     parts = [
         part if len(part) < part.shape[1] else np.asarray(np.linalg.qr(part, mode="r"))
-        for part in np.split(seen @ basis, ends)
+        for part in np.split(white_rows @ basis, ends)
     ]
-    along = wanted_rows @ basis
-    beside = float(np.sum(wanted_rows**2) - np.sum(along**2))
-    return PlacementProblem(candidates, parts, along.T @ along, left + beside)
+    reduced_rows = white_zone_rows @ basis
+    neglected = float(np.sum(white_zone_rows**2) - np.sum(reduced_rows**2))
+    return PlacementProblem(candidates, parts, reduced_rows.T @ reduced_rows, left + neglected)
 
 
 def place_sensors(problem: PlacementProblem, budgets: Sequence[float]) -> Iterator[Placement]:
@@ -206,11 +206,11 @@ def place_sensors(problem: PlacementProblem, budgets: Sequence[float]) -> Iterat
     Raises:
         GlissandoError: A budget buys nothing, is not finite, or is less than the one before.
     """
-    cost, before = problem.cost, list[int]()
-    for budget, less in zip(budgets, (0.0, *budgets), strict=False):
-        if budget < less:
+    cost, chosen_before = problem.cost, list[int]()
+    for budget, previous in zip(budgets, (0.0, *budgets), strict=False):
+        if budget < previous:
             raise GlissandoError(
-                f"Budgets of {less:g} and then {budget:g} fall; give them in rising order."
+                f"Budgets of {previous:g} and then {budget:g} fall; give them in rising order."
             )
         if not cost.min() <= budget < np.inf:
             raise GlissandoError(
@@ -220,13 +220,13 @@ def place_sensors(problem: PlacementProblem, budgets: Sequence[float]) -> Iterat
     bounds = [lower_bound(problem, budget) for budget in budgets]
     for i, budget in enumerate(budgets):
         starts = [_greedy(problem, budget, by_cost) for by_cost in (True, False)]
-        sets = [_exchanged(problem, budget, start) for start in (*starts, before)]
-        before = min(sets, key=lambda chosen: problem.variance(_share(problem, chosen)))
-        share = _share(problem, before)
+        sets = [_improved_by_exchange(problem, budget, start) for start in (*starts, chosen_before)]
+        chosen_before = min(sets, key=lambda chosen: problem.variance(_share(problem, chosen)))
+        share = _share(problem, chosen_before)
         yield Placement(
             budget,
             float(cost @ share),
-            tuple(problem.candidates[i] for i in before),
+            tuple(problem.candidates[i] for i in chosen_before),
             float(np.sqrt(problem.variance(share))),
             float(np.sqrt(max(bounds[i:]))),  # the bound of a larger budget holds here too
         )
@@ -260,50 +260,52 @@ def _greedy(
         chosen.append(int(free[best]))
 
 
-def _exchanged(problem: PlacementProblem, budget: float, chosen: list[int]) -> list[int]:
+def _improved_by_exchange(problem: PlacementProblem, budget: float, chosen: list[int]) -> list[int]:
     """Local optimum: the set is replaced by its best neighbour while that lowers the variance."""
 
     def variance(chosen: list[int]) -> float:
         return problem.variance(_share(problem, chosen))
 
     while True:
-        best = min(_beside(problem, budget, chosen), key=variance, default=chosen)
-        if not variance(best) < (1.0 - _GAIN) * variance(chosen):
+        neighbour = min(_neighbouring_sets(problem, budget, chosen), key=variance, default=chosen)
+        if not variance(neighbour) < (1.0 - _GAIN) * variance(chosen):
             return chosen
-        chosen = best
+        chosen = neighbour
 
 
-def _beside(problem: PlacementProblem, budget: float, chosen: list[int]) -> Iterator[list[int]]:
+def _neighbouring_sets(
+    problem: PlacementProblem, budget: float, chosen: list[int]
+) -> Iterator[list[int]]:
     """Neighbours of a set: one or two sensors replaced, or one added and others removed for it."""
-    outs: list[tuple[int, ...]] = [(out,) for out in chosen]
+    removals: list[tuple[int, ...]] = [(removed,) for removed in chosen]
     if len(chosen) <= _PAIRS:
-        outs += combinations(chosen, 2)
-    for out in outs:
-        rest = [each for each in chosen if each not in out]
+        removals += combinations(chosen, 2)
+    for removed in removals:
+        rest = [each for each in chosen if each not in removed]
         for by_cost in (True, False):
-            yield _greedy(problem, budget, by_cost, rest, out)
+            yield _greedy(problem, budget, by_cost, rest, removed)
     for new in np.flatnonzero((_share(problem, chosen) == 0.0) & (problem.cost <= budget)):
-        rest, left = _paid_for(problem, budget, chosen, int(new))
+        rest, excluded = _made_affordable(problem, budget, chosen, int(new))
         for by_cost in (True, False):
-            yield _greedy(problem, budget, by_cost, rest, left)
+            yield _greedy(problem, budget, by_cost, rest, excluded)
 
 
-def _paid_for(
+def _made_affordable(
     problem: PlacementProblem, budget: float, chosen: Sequence[int], new: int
 ) -> tuple[list[int], list[int]]:
     """Set with sensor `new` within the budget, and the sensors removed to pay for it.
 
     The sensors removed are those whose loss raises the variance least for their cost.
     """
-    affordable, out, cost = [*chosen, new], list[int](), problem.cost
+    affordable, removed, cost = [*chosen, new], list[int](), problem.cost
     while cost[affordable].sum() > budget + 1e-9:
         whole = problem.variance(_share(problem, affordable))
-        miss = [
+        loss = [
             (problem.variance(_share(problem, [k for k in affordable if k != i])) - whole) / cost[i]
             for i in affordable[:-1]
         ]
-        out.append(affordable.pop(int(np.argmin(miss))))
-    return affordable, out
+        removed.append(affordable.pop(int(np.argmin(loss))))
+    return affordable, removed
 
 
 def lower_bound(problem: PlacementProblem, budget: float) -> float:
@@ -311,21 +313,21 @@ def lower_bound(problem: PlacementProblem, budget: float) -> float:
 
     The variance is convex in the fractions, so a tangent plane lies below it everywhere.
     """
-    cost, whole = problem.cost, problem.variance(np.zeros(len(problem.candidates)))
+    cost, initial = problem.cost, problem.variance(np.zeros(len(problem.candidates)))
     share = np.full(cost.size, min(1.0, budget / cost.sum()))
     best = scipy.optimize.minimize(
-        lambda x: problem.variance(x) / whole,
+        lambda x: problem.variance(x) / initial,
         share,
-        jac=lambda x: problem.slopes(x) / whole,
+        jac=lambda x: problem.slopes(x) / initial,
         method="SLSQP",
         bounds=[(0.0, 1.0)] * cost.size,
         constraints={"type": "ineq", "fun": lambda x: budget - cost @ x, "jac": lambda x: -cost},
         options={"maxiter": 200, "ftol": 1e-9},
     )
-    at = np.clip(best.x, 0.0, 1.0)
-    slopes, room, least = problem.slopes(at), budget, 0.0
+    optimum = np.clip(best.x, 0.0, 1.0)
+    slopes, unspent, least = problem.slopes(optimum), budget, 0.0
     for i in np.argsort(slopes / cost):  # minimum of the plane: largest decrease per cost first
-        part = min(1.0, room / cost[i])
-        least, room = least + part * slopes[i], room - part * cost[i]
-    plane = problem.variance(at) + least - float(slopes @ at)
+        fraction = min(1.0, unspent / cost[i])
+        least, unspent = least + fraction * slopes[i], unspent - fraction * cost[i]
+    plane = problem.variance(optimum) + least - float(slopes @ optimum)
     return max(plane, problem.left, 0.0)  # a tangent plane far from the optimum may be lower

@@ -218,9 +218,9 @@ class _Search:
             candidates: Number of starts that are improved.
             iterations: Largest number of iterations for the best of these.
         """
-        apart = _ALIKE * (self.path_space.upper - self.path_space.lower)
+        distance = _ALIKE * (self.path_space.upper - self.path_space.lower)
         briefly = max(1, iterations // _BRIEFLY)
-        paths = _distinct([path for path, _ in ranked], apart, candidates)
+        paths = _distinct([path for path, _ in ranked], distance, candidates)
         best, before, total = ranked[0], 0, len(paths) * briefly + iterations
 
         def shown(done: int) -> None:
@@ -277,10 +277,10 @@ class _Search:
         return space.follow(np.full(space.steps + 2, target))
 
 
-def _distinct(paths: Sequence[Array], apart: float, count: int) -> list[Array]:
-    """The first `count` paths whose pairwise RMS distance exceeds `apart`, m."""
+def _distinct(paths: Sequence[Array], distance: float, count: int) -> list[Array]:
+    """The first `count` paths whose pairwise RMS distance exceeds `distance`, m."""
     distinct: list[Array] = []
     for path in paths:
-        if len(distinct) < count and all(np.mean((path - p) ** 2) > apart**2 for p in distinct):
+        if len(distinct) < count and all(np.mean((path - p) ** 2) > distance**2 for p in distinct):
             distinct.append(path)
     return distinct

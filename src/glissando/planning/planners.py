@@ -64,10 +64,10 @@ class ProcessPlanner(Generic[Result]):
 
     def __enter__(self) -> ProcessPlanner[Result]:
         context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        self.process = context.Process(target=_work, args=(theirs,), daemon=True)
+        self._connection, child_end = context.Pipe()
+        self.process = context.Process(target=_work, args=(child_end,), daemon=True)
         self.process.start()
-        theirs.close()
+        child_end.close()
         try:
             if not self.ready(_READY):
                 raise EOFError

@@ -123,8 +123,8 @@ class PlanningProblem(ShortRepr):
             Indices (M,) of time cells, Jacobians (M, 6, 2 d) by the modes at both ends of the cell,
             and covariances (M, 6, 6) before any reading, in the body frame.
         """
-        rows, left = self.ahead.points(arclength, time)
-        cov = rows.jacobian @ self.ahead.pairs(rows) @ rows.jacobian.mT + left
+        rows, bridge_cov = self.ahead.points(arclength, time)
+        cov = rows.jacobian @ self.ahead.pairs(rows) @ rows.jacobian.mT + bridge_cov
         jacobian = np.empty((*rows.jacobian.shape[:2], self.modes.lift.shape[2]))
         for lower in np.unique(rows.lower):
             at = np.flatnonzero(rows.lower == lower)
@@ -198,9 +198,9 @@ def predict_information(
             f"Time nodes {node_step:g} s apart cannot be: they lie on the steps of a path, "
             f"{step:g} s each, of {horizon:g} s ahead; give {step:g} to {horizon:g} s."
         )
-    inside = max(1, round(node_step / step))
-    cells = -(-steps // inside)
-    time = belief.time + inside * step * np.arange(cells + 1)
+    steps_per_cell = max(1, round(node_step / step))
+    cells = -(-steps // steps_per_cell)
+    time = belief.time + steps_per_cell * step * np.arange(cells + 1)
     grid = Grid(belief.arclength, time, belief.previous_time)
     mean = belief.hold_shape(grid) if motion is None else motion(grid.time)
     parameters = EstimatedParameters(grid, belief.sensor_parameters)
@@ -209,7 +209,7 @@ def predict_information(
         lattice = _lattice(grid.arclength, reach[0] - sensor.behind[-1], reach[1])
         middle = np.full(lattice.size, grid.time[cells // 2])
         modes = find_modes(ahead.marginals, _node_rows(ahead, ahead.seen(sensor, lattice, middle)))
-        rows = _reading_rows(ahead, modes, sensor, lattice, inside)
+        rows = _reading_rows(ahead, modes, sensor, lattice, steps_per_cell)
     rows *= np.sqrt(step * sensor.rate)
     return PlanningProblem(ahead, sensor, modes, step, steps, lattice, rows)
 
@@ -267,12 +267,14 @@ def _reading_rows(
         by_corner = jacobian[:, :, at_n]
         lifted = by_corner.reshape(len(distinct), -1, corners.size) @ modes.lift[:, corners]
         lifted = lifted.reshape(starts.size, inside + 1, at_n.size, r, d2)
-        left = _left(ahead, modes, by_corner[:, -1], lifted[:, -1], int(n))
-        out[:, :, at_n] = sqrt_information(np.eye(r) + left)[:, None] @ lifted[:, :-1]
+        residual_cov = _covariance_given_modes(
+            ahead, modes, by_corner[:, -1], lifted[:, -1], int(n)
+        )
+        out[:, :, at_n] = sqrt_information(np.eye(r) + residual_cov)[:, None] @ lifted[:, :-1]
     return out.reshape(-1, *out.shape[2:])
 
 
-def _left(
+def _covariance_given_modes(
     ahead: PredictedInformation, modes: Modes, rows: Array, lifted: Array, lower: int
 ) -> Array:
     """Covariances (cells, M, r, r) of predicted readings given the modes.
@@ -283,14 +285,14 @@ def _left(
     cells, (_, count, r, q) = len(modes.lift), rows.shape
     corners = Rows(np.arange(cells), np.full(cells, lower), np.empty((cells, 0, q)))
     flat = np.broadcast_to(rows, (cells, count, r, q)).reshape(cells, count * r, q)
-    whole = (flat @ ahead.pairs(corners)).reshape(cells, count, r, q) @ rows.mT
+    prior_cov = (flat @ ahead.pairs(corners)).reshape(cells, count, r, q) @ rows.mT
     modelled = (lifted.reshape(cells, count * r, -1) @ modes.pair).reshape(lifted.shape) @ lifted.mT
-    left = symmetrize(whole - modelled)
-    if np.linalg.eigvalsh(left).min() < -_ROUNDING:
-        widest = float(np.sqrt(np.einsum("kmii->kmi", whole).max()))
+    residual_cov = symmetrize(prior_cov - modelled)
+    if np.linalg.eigvalsh(residual_cov).min() < -_ROUNDING:
+        widest = float(np.sqrt(np.einsum("kmii->kmi", prior_cov).max()))
         raise GlissandoError(
             f"Before any reading of the time ahead, one is uncertain by {widest:.2g} standard "
             f"deviations of its noise: too much to tell what another adds. Give the prior a firmer "
             f"base or strain, or plan on from an estimate."
         )
-    return left
+    return residual_cov

@@ -95,19 +95,19 @@ class PredictedInformation:
 
     def points(self, arclength: Array, time: Array) -> tuple[Rows, Array]:
         """Rows (M, 6) of poses at points, and their covariances (M, 6, 6) given the nodes."""
-        rows, left = self._empty_rows(arclength.size, 6), np.empty((arclength.size, 6, 6))
+        rows, bridge_cov = self._empty_rows(arclength.size, 6), np.empty((arclength.size, 6, 6))
         for points in sort_points(self.grid, arclength, time):
             at = self.prior.interpolate(self.grid, self.mean, self.mean, points)
             self._fill(rows, points.rows, at.nodes, at.jacobian[:, :6], None)
-            left[points.rows] = at.cov[:, :6, :6]
-        return rows, left
+            bridge_cov[points.rows] = at.cov[:, :6, :6]
+        return rows, bridge_cov
 
     def _located(self, sensor: SlidingSensor, arclength: Array, time: Array) -> LocatedReadings:
-        place, when, same = arclength, time, np.arange(time.size)
+        place, when, inverse = arclength, time, np.arange(time.size)
         if self.still and time.size:
-            place, same = np.unique(arclength, return_inverse=True)
+            place, inverse = np.unique(arclength, return_inverse=True)
             when = np.full(place.size, time[0])
-        pose = states_at(self.prior, self.grid, self.mean, place, when).pose[same]
+        pose = states_at(self.prior, self.grid, self.mean, place, when).pose[inverse]
         readings: list[Readings] = [sensor.readings(pose, arclength, time)]
         return locate(self.grid, readings, self.sensor_parameters.each, keep_all=True)
 
@@ -123,11 +123,11 @@ class PredictedInformation:
         Jacobians by the sensor parameters, `extras`, are empty for a sensor without any.
         """
         (k_count, n_count), dof, e = self.grid.shape, self.mean.dof, self.sensor_parameters.size
-        slab, inner = np.divmod(nodes, n_count)
-        rows.cell[at] = np.minimum(slab[:, 0], k_count - 2)
-        rows.lower[at] = np.minimum(inner[:, 0], max(n_count - 2, 0))
+        k, n = np.divmod(nodes, n_count)
+        rows.cell[at] = np.minimum(k[:, 0], k_count - 2)
+        rows.lower[at] = np.minimum(n[:, 0], max(n_count - 2, 0))
         half = rows.jacobian.shape[-1] // 2
-        first = (slab - rows.cell[at, None]) * half + (inner - rows.lower[at, None]) * dof
+        first = (k - rows.cell[at, None]) * half + (n - rows.lower[at, None]) * dof
         for corner in range(nodes.shape[1]):
             columns = first[:, corner, None] + np.arange(dof)
             for row in range(jacobian.shape[1]):
@@ -153,8 +153,8 @@ class PredictedInformation:
 
     def cov_pose(self, arclength: Array, time: Array) -> Array:
         """Covariances (M, 6, 6) of the pose at arclengths and times (M,), in the body frame."""
-        rows, left = self.points(arclength, time)
-        return rows.jacobian @ self.pairs(rows) @ np.swapaxes(rows.jacobian, -1, -2) + left
+        rows, bridge_cov = self.points(arclength, time)
+        return rows.jacobian @ self.pairs(rows) @ np.swapaxes(rows.jacobian, -1, -2) + bridge_cov
 
     def after(self, sensor: SlidingSensor, arclength: Array, time: Array) -> PredictedInformation:
         """Add the information of readings of all coils; the first is at `arclength` (M,), m.
@@ -166,9 +166,9 @@ class PredictedInformation:
         located = self._located(sensor, place, np.tile(time, sensor.coils))
         for _, _, batch in measurement_factors(self.prior, located, self.mean, self.mean):
             builder.accumulate(batch)
-        gained = builder.system()
+        added = builder.system()
         system = BlockTridiagonal(
-            self.system.diagonal + gained.diagonal, self.system.lower + gained.lower
+            self.system.diagonal + added.diagonal, self.system.lower + added.lower
         )
         return replace(self, system=system, marginals=factor(system).marginals(consume=True))
 

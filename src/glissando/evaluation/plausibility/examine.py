@@ -57,9 +57,12 @@ def examine(
         GlissandoError: A name in `allow` is not that of a check.
     """
     require_known(allow)
-    right = [corrected(r, robot.sensor_parameters) for r in readings]
+    corrected_readings = [corrected(r, robot.sensor_parameters) for r in readings]
     streams = Streams(
-        robot, tuple(r for r in right if len(r)), tuple(t for t in truth if len(t)), frames or {}
+        robot,
+        tuple(r for r in corrected_readings if len(r)),
+        tuple(t for t in truth if len(t)),
+        frames or {},
     )
     with np.errstate(all="ignore"):  # implausible numbers may overflow
         try:
@@ -201,10 +204,10 @@ def after_estimate(
                     (r.label,),
                 )
             )
-    return [*findings, *_swelling(posterior)]
+    return [*findings, *_coarse_grid(posterior)]
 
 
-def _swelling(posterior: Posterior) -> Iterator[Finding]:
+def _coarse_grid(posterior: Posterior) -> Iterator[Finding]:
     """Yield a finding if the standard deviation is much larger between time nodes than at them.
 
     The variance between nodes grows with the cube of the time step, which gives a sufficient rate.
@@ -221,17 +224,17 @@ def _swelling(posterior: Posterior) -> Iterator[Finding]:
     share = between / np.maximum(before, after)
     worst = share.max(axis=1)  # at the arclength of the largest ratio, maybe of a sliding sensor
     k = int(np.argsort(worst)[worst.size // 2])
-    n, swell = int(np.argmax(share[k])), float(worst[k])
-    if swell <= _SWOLLEN:
+    n, ratio = int(np.argmax(share[k])), float(worst[k])
+    if ratio <= _SWOLLEN:
         return
     rate = (nodes.size - 1) / float(nodes[-1] - nodes[0])
-    enough = rate * ((swell**2 - 1.0) / (_FLAT**2 - 1.0)) ** (1.0 / 3.0)
+    new_rate = rate * ((ratio**2 - 1.0) / (_FLAT**2 - 1.0)) ** (1.0 / 3.0)
     yield Finding(
         "grid",
         f"Confidence swells between time nodes: at {1e3 * arclength[n]:.4g} mm the standard "
         f"deviation of position is {1e3 * max(before[k, n], after[k, n]):.3g} mm at a node and "
         f"{1e3 * between[k, n]:.3g} mm half a step later, at {middle[k]:.4g} s. The nodes are too "
-        f"far apart for this prior; set time_rate = {float(f'{enough:.2g}'):g} in [grid] (here "
+        f"far apart for this prior; set time_rate = {float(f'{new_rate:.2g}'):g} in [grid] (here "
         f"are {rate:.3g} a second).",
         False,
     )

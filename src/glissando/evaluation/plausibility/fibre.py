@@ -74,20 +74,22 @@ def _compared(streams: Streams, r: FbgReadings, body: Readings) -> Finding | Non
     place, pose, weight = poses_at(body, moments)
     base = robot.prior.rest_state(Grid(robot.arclength_nodes, [0.0])).pose[0, 0]
     rows = [np.flatnonzero(r.time == time) for time in moments]
-    told = [
+    informed = [
         k for k in range(moments.size)
         if weight[k, 0] > 0.0 and np.unique(r.arclength[rows[k]]).size >= _PLACES
         and r.arclength[rows[k]].max() > place[k] - _BEYOND * length
     ]  # fmt: skip
-    if not told or np.linalg.matrix_rank(_slopes(r.core_radius, r.core_angle)) < 3:
+    if not informed or np.linalg.matrix_rank(_slopes(r.core_radius, r.core_angle)) < 3:
         return None
-    seen = (se3.inverse(base) @ pose)[told, :3, 3]
-    deflection = np.median(np.hypot(seen[:, 0], seen[:, 1]))
+    measured = (se3.inverse(base) @ pose)[informed, :3, 3]
+    deflection = np.median(np.hypot(measured[:, 0], measured[:, 1]))
     misses = {}
-    for cause, (inverse, order) in _readings_of(r).items():
-        bends = [_bends(r, rows[k], inverse, order) for k in told]
-        ends = np.array([_end(*each, place[k]) for each, k in zip(bends, told, strict=True)])
-        misses[cause] = float(np.median(np.linalg.norm(ends - seen, axis=1)))
+    for cause, (inverse, order) in _interpretations(r).items():
+        bends = [_curvatures(r, rows[k], inverse, order) for k in informed]
+        ends = np.array(
+            [_end_position(*each, place[k]) for each, k in zip(bends, informed, strict=True)]
+        )
+        misses[cause] = float(np.median(np.linalg.norm(ends - measured, axis=1)))
     miss = misses.pop("")
     least = min(misses.values())
     cause = next(c for c, other in misses.items() if _EVEN * other <= least)
@@ -112,7 +114,7 @@ def _inverse(radius: Array, angle: Array) -> Array:
     return np.asarray(np.linalg.pinv(_slopes(radius, angle)), dtype=float)
 
 
-def _readings_of(r: FbgReadings) -> dict[str, tuple[Array, Order]]:
+def _interpretations(r: FbgReadings) -> dict[str, tuple[Array, Order]]:
     """Interpretations of a fibre by their mistake: pseudoinverse (3, C) and order (C,) of strains.
 
     The first, with an empty mistake, is the stated one; of equivalent ones the likelier comes
@@ -148,13 +150,13 @@ def _orders(cores: Order) -> Iterator[Order]:
         yield from (np.roll(way, shift) for shift in range(count))
 
 
-def _bends(r: FbgReadings, rows: Order, inverse: Array, order: Order) -> tuple[Array, Array]:
+def _curvatures(r: FbgReadings, rows: Order, inverse: Array, order: Order) -> tuple[Array, Array]:
     """Arclengths (M,), m, and curvatures (M, 2), 1/m, from the rows of one time."""
     rows = rows[np.argsort(r.arclength[rows], kind="stable")]
     return r.arclength[rows], r.values[rows][:, order] @ inverse[1:].T
 
 
-def _end(places: Array, bends: Array, end: float) -> Array:
+def _end_position(places: Array, bends: Array, end: float) -> Array:
     """Position (3,) in the base frame at an arclength, by integration of curvatures, untwisted."""
     step = end / _STEPS
     middle = step * (np.arange(_STEPS) + 0.5)

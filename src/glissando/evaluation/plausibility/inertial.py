@@ -59,10 +59,10 @@ def check_accelerometers(streams: Streams) -> Iterator[Finding]:
         if weight < _LIGHT:
             continue
         r = r.select(evenly_chosen(len(r), _MOST))
-        yield from _sized(r, weight) or _turned(streams, r, weight)
+        yield from _wrong_size(r, weight) or _wrong_axes(streams, r, weight)
 
 
-def _sized(r: Readings, weight: float) -> list[Finding]:
+def _wrong_size(r: Readings, weight: float) -> list[Finding]:
     """Finding that an accelerometer's readings are far larger or smaller than gravity."""
     size = float(np.median(np.linalg.norm(r.values, axis=1)))
     if _SIZES[0] < size / weight < _SIZES[1]:
@@ -76,7 +76,7 @@ def _sized(r: Readings, weight: float) -> list[Finding]:
     return [Finding("accelerometer", sentence, True, (r.label,), what)]
 
 
-def _turned(streams: Streams, r: AccelerometerReadings, weight: float) -> list[Finding]:
+def _wrong_axes(streams: Streams, r: AccelerometerReadings, weight: float) -> list[Finding]:
     """Finding that gravity has another sign or other axes than by the tilt of a body nearby."""
     place = float(np.median(r.arclength))
     force = np.einsum("...ij,...j->...i", r.mount[..., :3, :3], r.values / weight)
@@ -89,7 +89,7 @@ def _turned(streams: Streams, r: AccelerometerReadings, weight: float) -> list[F
         up = -np.einsum("mji,j->mi", pose[:, :3, :3], r.gravity / weight)
         ways = [(np.eye(3), ""), (-np.eye(3), "with the wrong sign")]
         ways += [(matrix, f"along {shown} for x, y, z") for matrix, shown in signed_axes()]
-        errors = [_off(force @ matrix, up, axes) for matrix, _ in ways]
+        errors = [_rms_difference(force @ matrix, up, axes) for matrix, _ in ways]
         best = int(np.argmin(errors))
         if best and errors[0] > _OFF and errors[best] < _BETTER * errors[0]:
             what = ways[best][1]
@@ -103,7 +103,7 @@ def _turned(streams: Streams, r: AccelerometerReadings, weight: float) -> list[F
     return []
 
 
-def _off(seen: Array, expected: Array, axes: NDArray[np.bool_]) -> float:
+def _rms_difference(seen: Array, expected: Array, axes: NDArray[np.bool_]) -> float:
     """RMS difference of specific forces (M, 3) along the known `axes` (M, 3)."""
     return float(np.sqrt(np.mean((seen - expected)[axes] ** 2)))
 
@@ -185,7 +185,7 @@ def _compared(
     for matrix, shown in signed_axes():
         text = "with the wrong sign" if shown == "−x, −y, −z" else f"about {shown} for x, y, z"
         tries += [(scale, text, rates @ matrix.T) for scale in (1.0, 180.0 / np.pi)]
-    unexplained = np.array([_left(seen, scale * other) for scale, _, other in tries])
+    unexplained = np.array([_unexplained_share(seen, scale * other) for scale, _, other in tries])
     best = int(np.argmin(unexplained))
     scale, text, _ = tries[best]
     if best == 0 or unexplained[best] > 0.5 or unexplained[best] > 0.4 * unexplained[0]:
@@ -205,7 +205,7 @@ def _unit(scale: float) -> str:
     return f"in {_SCALES[scale]}" if _SCALES[scale] else ""
 
 
-def _left(seen: Array, expected: Array) -> float:
+def _unexplained_share(seen: Array, expected: Array) -> float:
     """Share of the measured rates' power not explained by the expected ones, bias aside; robust."""
     error, size = seen - expected, seen - np.median(seen, axis=0)
     error = error - np.median(error, axis=0)

@@ -48,44 +48,44 @@ def check_lag(streams: Streams) -> Iterator[Finding]:
         if lag is not None:
             lags[i, j], lags[j, i] = lag, -lag
             known[i, j] = known[j, i] = True
-    late = _delays(lags, known)
+    delays = _delays(lags, known)
     is_truth = np.array([any(r is t for t in streams.truth) for r, _ in signals])
-    late -= np.median(late if is_truth.all() else late[~is_truth])
-    if np.any(at_once & (np.abs(np.subtract.outer(late, late)) > _ALIKE_LAGS)):
+    delays -= np.median(delays if is_truth.all() else delays[~is_truth])
+    if np.any(at_once & (np.abs(np.subtract.outer(delays, delays)) > _ALIKE_LAGS)):
         return  # delays contradict pairs of streams that move simultaneously
     agreed = known.sum(axis=1) >= np.minimum(_AGREE, count - 1)
-    agreed &= _share_alike(lags, late, known) >= _MOST
-    yield from _reported(signals, late, agreed, is_truth)
+    agreed &= _share_alike(lags, delays, known) >= _MOST
+    yield from _findings(signals, delays, agreed, is_truth)
 
 
-def _share_alike(lags: Array, late: Array, known: NDArray[np.bool_]) -> Array:
-    """Share (J,) of each stream's known lags that are consistent with delays `late` (J,), s.
+def _share_alike(lags: Array, delays: Array, known: NDArray[np.bool_]) -> Array:
+    """Share (J,) of each stream's known lags that are consistent with `delays` (J,), s.
 
     Short motions correlate at some lag by chance, but at a different one for each pair.
     """
-    alike = known & (np.abs(lags - np.subtract.outer(late, late)) < _ALIKE_LAGS)
+    alike = known & (np.abs(lags - np.subtract.outer(delays, delays)) < _ALIKE_LAGS)
     return np.asarray(alike.sum(axis=1) / np.maximum(known.sum(axis=1), 1))
 
 
-def _reported(
+def _findings(
     signals: list[tuple[Readings, tuple[Array, Array]]],
-    late: Array,
+    delays: Array,
     agreed: NDArray[np.bool_],
     is_truth: NDArray[np.bool_],
 ) -> Iterator[Finding]:
-    off = (np.abs(late) > _LEAST) & agreed
+    off = (np.abs(delays) > _LEAST) & agreed
     if off[is_truth].sum() > 1 and off[is_truth].mean() > 0.6:
-        value = float(np.median(late[is_truth]))
-        if np.median(np.abs(late[is_truth] - value)) < _LEAST < abs(value):  # else no one clock
+        value = float(np.median(delays[is_truth]))
+        if np.median(np.abs(delays[is_truth] - value)) < _LEAST < abs(value):  # else no one clock
             names = tuple(r.label for (r, _), t in zip(signals, is_truth, strict=True) if t)
-            yield _late(f"The truth ({listed(names)}) moves", value, names)
+            yield _lag_finding(f"The truth ({listed(names)}) moves", value, names)
         off &= ~is_truth
-    for (r, _), value, bad in zip(signals, late, off, strict=True):
+    for (r, _), value, bad in zip(signals, delays, off, strict=True):
         if bad:
-            yield _late(f"{r.label!r} moves", float(value), (r.label,))
+            yield _lag_finding(f"{r.label!r} moves", float(value), (r.label,))
 
 
-def _late(subject: str, value: float, names: tuple[str, ...]) -> Finding:
+def _lag_finding(subject: str, value: float, names: tuple[str, ...]) -> Finding:
     later = "later" if value > 0.0 else "earlier"
     by = f"{abs(value):.2g} s"
     mend = f"subtract {by} from" if value > 0.0 else f"add {by} to"
@@ -135,11 +135,14 @@ def _lag(one: tuple[Array, Array], other: tuple[Array, Array]) -> tuple[float | 
     a, b = (np.convolve(np.sqrt(np.interp(grid, t, v)), box, "same") for t, v in (one, other))
     reach = int(_FARTHEST * grid.size)
     scores = _correlations(a, b, reach)
-    best, here = int(np.argmax(scores)), scores[reach]
+    best, without_lag = int(np.argmax(scores)), scores[reach]
     if scores[best] < _ALIKE:
         return None, False
-    if scores[best] - here < max(_BETTER, 0.3 * (1.0 - here)) or abs(here) > _AT_ONCE:
-        return 0.0, bool(here > _AT_ONCE)
+    if (
+        scores[best] - without_lag < max(_BETTER, 0.3 * (1.0 - without_lag))
+        or abs(without_lag) > _AT_ONCE
+    ):
+        return 0.0, bool(without_lag > _AT_ONCE)
     if max(_repetition(signal, abs(best - reach)) for signal in (a, b)) > _AGAIN:
         return None, False  # repetitive motion: the lag is ambiguous
     return (best - reach) / _RATE, False
@@ -175,9 +178,9 @@ def _correlations(a: Array, b: Array, reach: int) -> Array:
 
 def _delays(lags: Array, known: NDArray[np.bool_]) -> Array:
     """Delay (J,) of each stream, s, from lags (J, J) of pairs, by iterated medians."""
-    late = np.zeros(len(lags))
+    delays = np.zeros(len(lags))
     for _ in range(10):
         for j in range(len(lags)):
             if known[j].any():
-                late[j] = np.median((lags[j] + late)[known[j]])
-    return late
+                delays[j] = np.median((lags[j] + delays)[known[j]])
+    return delays

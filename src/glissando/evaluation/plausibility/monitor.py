@@ -14,7 +14,7 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 
 _SPAN = 20.0  # s of the newest readings that are checked
-_ENDED = "The process that looks at the readings has ended: they are not judged any more."
+_ENDED_MESSAGE = "The process that looks at the readings has ended: they are not judged any more."
 
 
 class PlausibilityMonitor:
@@ -55,7 +55,7 @@ class PlausibilityMonitor:
         except BrokenExecutor:
             self._due = np.inf
             self._streams.clear()
-            return [Finding("guard", _ENDED, False)]
+            return [Finding("guard", _ENDED_MESSAGE, False)]
 
     def last(self, now: float) -> list[Finding]:
         """Check the newest readings at the end of a session, in the calling process.

@@ -96,7 +96,7 @@ def _explained(
     sound: list[_Judged] = []
     for group in groups[:_GROUPS]:
         if not any(j.miss < 0.5 and j.effort < 0.5 for j in sound):
-            sound += [j for j in _tried(streams, rod, seen, group) if j.sound]
+            sound += [j for j in _best_corrections(streams, rod, seen, group) if j.sound]
     best = min(sound, key=lambda j: j.cost, default=None)
     if best is not None:
         names = tuple(tracked[j].label for j in best.group)
@@ -162,7 +162,9 @@ def _suspects(streams: Streams, rod: Rod, seen: TrackedPoses) -> list[tuple[int,
     ]
 
 
-def _tried(streams: Streams, rod: Rod, seen: TrackedPoses, group: tuple[int, ...]) -> list[_Judged]:
+def _best_corrections(
+    streams: Streams, rod: Rod, seen: TrackedPoses, group: tuple[int, ...]
+) -> list[_Judged]:
     """Evaluate corrections of a group of streams; the best are evaluated with refitted shapes.
 
     All corrections are first ranked by their misses from shapes fitted to the other streams, or, if

@@ -108,8 +108,8 @@ class Rod:
                 trust = np.where(seen.place <= edge, 1.0, _AHEAD)
                 weight = seen.weight * scale * trust[..., None]
                 damping[:] = 1e-2
-                here = self._linearized(x, seen, weight)
-            _, cost, gradient, hessian = here
+                current = self._linearized(x, seen, weight)
+            _, cost, gradient, hessian = current
             diagonal = np.einsum("bii->bi", hessian)[..., None] * np.eye(x.shape[1])
             moved = (
                 x
@@ -117,13 +117,13 @@ class Rod:
                     ..., 0
                 ]
             )
-            stepped = self._linearized(moved, seen, weight)
-            better = stepped[1] < cost
+            trial = self._linearized(moved, seen, weight)
+            better = trial[1] < cost
             x = np.where(better[:, None], moved, x)
-            for new, old in zip(stepped, here, strict=True):
+            for new, old in zip(trial, current, strict=True):
                 old[better] = new[better]
             damping = np.clip(np.where(better, 0.1, 10.0) * damping, 1e-7, 1e6)
-        pose = here[0]
+        pose = current[0]
         effort = np.einsum("bi,ij,bj->b", x, self.information, x)
         return Fit(x, self.missed(pose, seen), effort)
 

@@ -86,17 +86,17 @@ def check_slide(streams: Streams) -> Iterator[Finding]:
         fixed = np.ptp(r.arclength) < _TRAVEL
         if fixed and not any(r is sensor for sensor in streams.sensors):
             continue
-        finding = _unmoved(r, streams) if fixed else _judged(r, streams.frame(r))
+        finding = _unstated_slide(r, streams) if fixed else _judged(r, streams.frame(r))
         if finding is not None:
             yield finding
 
 
-def _unmoved(r: Readings, streams: Streams) -> Finding | None:
+def _unstated_slide(r: Readings, streams: Streams) -> Finding | None:
     """Finding that a sensor slides along its axis although its arclength is constant."""
-    course = _course(r)
-    if course is None:
+    motion = _slide_motion(r)
+    if motion is None:
         return None
-    body = np.einsum("mji,mj->mi", course.rotation, course.moved)
+    body = np.einsum("mji,mj->mi", motion.rotation, motion.moved)
     path = np.cumsum(body, axis=0)
     span = np.ptp(path, axis=0)
     energy = np.mean(body**2, axis=0)
@@ -118,7 +118,7 @@ def _unmoved(r: Readings, streams: Streams) -> Finding | None:
     )  # fmt: skip
 
 
-def _course(r: Readings, late: float = 0.0) -> _SlideMotion | None:
+def _slide_motion(r: Readings, late: float = 0.0) -> _SlideMotion | None:
     """Motion of a stream, its slide's travel read `late` seconds earlier; None if too short."""
     order = np.argsort(r.time, kind="stable")
     time, place, pose = r.time[order], r.arclength[order], as_poses(r)[order]
@@ -144,12 +144,12 @@ def _course(r: Readings, late: float = 0.0) -> _SlideMotion | None:
 
 
 def _judged(r: Readings, frame: Array) -> Finding | None:
-    course = _course(r)
-    if course is None or np.std(course.travel) < 1e-4:
+    motion = _slide_motion(r)
+    if motion is None or np.std(motion.travel) < 1e-4:
         return None
     raw = frame[:3, :3].T
-    rotation, moved = raw @ course.rotation, course.moved @ raw.T
-    direction, std, left, straight = course.along(rotation, moved)
+    rotation, moved = raw @ motion.rotation, motion.moved @ raw.T
+    direction, std, left, straight = motion.along(rotation, moved)
     axis = direction / max(float(np.linalg.norm(direction)), 1e-12)
     scale = float(np.linalg.norm(direction))
     clear = left < 1.0 - _CLEAR and scale > _STD * std.max()
@@ -157,10 +157,10 @@ def _judged(r: Readings, frame: Array) -> Finding | None:
         return _scaled(r, scale, float(std.max()))
     if clear and axis[2] < 0.9 and np.max(np.abs(axis)) > 0.97:
         return _turned(r, axis)
-    late = _late(r, left)
-    if late is not None:
-        return late
-    other = _explained(r, course, rotation, moved, straight)
+    lag_finding = _lag_finding(r, left)
+    if lag_finding is not None:
+        return lag_finding
+    other = _explained(r, motion, rotation, moved, straight)
     if other is not None or not clear:
         return other
     if axis[2] < np.cos(max(2.0 * _TILT, _STD * std.max() / scale)):
@@ -216,11 +216,11 @@ def _turned(r: Readings, axis: Array) -> Finding:
     )  # fmt: skip
 
 
-def _late(r: Readings, left: float) -> Finding | None:
+def _lag_finding(r: Readings, left: float) -> Finding | None:
     """Finding that the slide's readings lag or lead the sensor's motion; None if neither."""
     shares = np.full(_LATE.size, np.inf)
     for k, late in enumerate(_LATE):
-        other = _course(r, float(late))
+        other = _slide_motion(r, float(late))
         if other is not None:
             direction, _, share, _ = other.along(other.rotation, other.moved)
             shares[k] = share if 0.6 < direction[2] < 1.6 else np.inf
@@ -238,7 +238,7 @@ def _late(r: Readings, left: float) -> Finding | None:
 
 
 def _explained(
-    r: Readings, course: _SlideMotion, rotation: Array, moved: Array, left: float
+    r: Readings, motion: _SlideMotion, rotation: Array, moved: Array, left: float
 ) -> Finding | None:
     """Finding that another interpretation of the columns lets motion follow the slide; or None."""
     pose = se3.pose(rotation, np.zeros(3))
@@ -255,7 +255,7 @@ def _explained(
         tries.append(("axes", text, rotation, moved @ matrix.T))
     judged = []
     for check, text, turned, shifted in tries:
-        judged.append((course.along(turned, shifted)[3], check, text))
+        judged.append((motion.along(turned, shifted)[3], check, text))
     share, check, text = min(judged)
     if not share < min(0.4 * left, 0.4):  # also true for NaN
         return None

@@ -39,7 +39,7 @@ class ErrorBelief:
     def after(self, time: float, time_scale: Array) -> ErrorBelief:
         """Predict the belief after `time` s without readings; time scales (n,) of each error, s."""
         fade = np.exp(-time / time_scale)
-        return ErrorBelief(fade * self.mean, _faded(self.cov, fade))
+        return ErrorBelief(fade * self.mean, _predicted_cov(self.cov, fade))
 
     def updated(self, rows: Array, residual: Array) -> ErrorBelief:
         """Belief after an update with whitened readings: rows (r, n) and innovations (r,)."""
@@ -49,15 +49,15 @@ class ErrorBelief:
         return ErrorBelief(self.mean + gain @ residual, cov)
 
 
-def _faded(cov: Array, fade: Array) -> Array:
+def _predicted_cov(cov: Array, fade: Array) -> Array:
     """Predicted covariance (n, n) of unit-variance processes with decay factors `fade` (n,)."""
     return np.outer(fade, fade) * cov + np.diag(1.0 - fade**2)
 
 
 def _gain(cov: Array, rows: Array) -> Array:
     """Kalman gain (n, r) for whitened rows (r, n)."""
-    seen = rows @ cov
-    return np.asarray(np.linalg.solve(np.eye(len(rows)) + seen @ rows.T, seen).T)
+    rows_cov = rows @ cov
+    return np.asarray(np.linalg.solve(np.eye(len(rows)) + rows_cov @ rows.T, rows_cov).T)
 
 
 @dataclass(frozen=True)
@@ -157,11 +157,11 @@ def predict_covariance(cov: Array, rows: Array, fade: Array, left: Array) -> Pre
     eye, prior = np.eye(len(cov)), cov
     for k, seen in enumerate(rows):
         before[k], unread[k] = cov, prior
-        prior = _faded(prior, fade)
+        prior = _predicted_cov(prior, fade)
         free[k] = eye - _gain(cov, seen) @ seen
         new = free[k] @ cov
         after[k] = 0.5 * (new + new.T)
-        cov = _faded(after[k], fade)
+        cov = _predicted_cov(after[k], fade)
     return PredictedCovariance(before, after, free, rows, fade, unread, left)
 
 

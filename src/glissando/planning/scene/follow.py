@@ -119,20 +119,22 @@ class MotionFollower:
             body, mean = self.problem.body, self.belief.mean
             shapes = body.shapes(pulled, np.tile(mean[: body.errors], (count, 1)))
             at, weights = self.problem.neighbours(readings.arclength)
-            own = np.arange(count)
-            twist = shapes.body_twist_at(own[:, None], at)
+            sample = np.arange(count)
+            twist = shapes.body_twist_at(sample[:, None], at)
             twist = np.einsum("mn,mniq->miq", weights[:, 0], twist)
-            pose = shapes.pose_at(readings.arclength)[own, own]
+            pose = shapes.pose_at(readings.arclength)[sample, sample]
             state = State(pose, np.zeros((count, 6)), np.zeros((count, 6)))
             white = sqrt_information(readings.cov)
             by_state = readings.jacobian(state)
             repeated = self.problem.sensed.slopes(readings, state, by_state)
-            off = readings.residual(state) + repeated @ mean[body.errors :]
+            expected_residual = readings.residual(state) + repeated @ mean[body.errors :]
             rows = white @ np.concatenate([by_state[..., :6] @ twist, repeated], axis=-1)
-            residual = -(white @ off[..., None])
+            residual = -(white @ expected_residual[..., None])
             size = rows.shape[-1]
-            spread = np.eye(rows.shape[1]) + rows @ self.belief.cov @ rows.mT
-            squared = np.sum(residual[..., 0] * np.linalg.solve(spread, residual)[..., 0], axis=-1)
+            innovation_cov = np.eye(rows.shape[1]) + rows @ self.belief.cov @ rows.mT
+            squared = np.sum(
+                residual[..., 0] * np.linalg.solve(innovation_cov, residual)[..., 0], axis=-1
+            )
             likely = squared < _ABSURD**2 * rows.shape[1]
             self.dropped += int(np.sum(~likely))
             rows, residual = rows[likely].reshape(-1, size), residual[likely].ravel()
@@ -154,13 +156,13 @@ class MotionFollower:
         mean = self.belief.after(since, self.problem.time_scale).mean[:size]
         pulled, before = values[:count], self._corrections[1]
         low, high = np.clip(
-            pulled + before + self._changes(min(self.due, time), time), *self._limits
+            pulled + before + self._correction_bounds(min(self.due, time), time), *self._limits
         )
         new = before
         with one_thread():
             try:
                 wished = self.problem.body.shapes(pulled[None], start[None])
-                new = self._bent_as(wished, pulled, mean, (low, high)) - pulled
+                new = self._displacements_for(wished, pulled, mean, (low, high)) - pulled
             except GlissandoError:
                 pass
         self._begun = self.due if time > self.due else time - 1.0
@@ -169,15 +171,15 @@ class MotionFollower:
 
     def _require_time(self, time: float) -> None:
         """Raise GlissandoError for a time step longer than the plan, probably in another unit."""
-        lasts = max(self.problem.scene.horizon, _LONGEST)
+        longest = max(self.problem.scene.horizon, _LONGEST)
         ended = self.due >= self.problem.scene.horizon and 0.0 <= time < np.inf  # at rest
-        if not (ended or abs(time - max(self.time, self.due)) <= lasts):
+        if not (ended or abs(time - max(self.time, self.due)) <= longest):
             raise GlissandoError(
                 f"The time goes from {self.due:g} to {time:g} s within a plan of "
                 f"{self.problem.scene.horizon:g} s; give seconds from its start."
             )
 
-    def _changes(self, begin: float, end: float) -> Array:
+    def _correction_bounds(self, begin: float, end: float) -> Array:
         """Least and largest changes (2, T) of the corrections between two times, m.
 
         The speed limits less the planned speeds, which are linear between the knots of the splines.
@@ -198,7 +200,7 @@ class MotionFollower:
         tendons = self.problem.scene.tendons
         return np.array([t.lower for t in tendons]), np.array([t.upper for t in tendons])
 
-    def _bent_as(
+    def _displacements_for(
         self, wished: BodyShapes, pulled: Array, error: Array, limits: tuple[Array, Array]
     ) -> Array:
         """Displacements (T,) within limits that bend all pieces as wished, nearest to `pulled`.
@@ -209,11 +211,13 @@ class MotionFollower:
         low, high = limits[0], np.maximum(limits[1], limits[0] + _ROOM)
         goal, at = wished.balance.strain[0, :, 3:5].ravel(), np.clip(pulled, low, high)
         for _ in range(_STEPS):
-            here = self.problem.body.shapes(at[None], error[None]).balance
-            slope = here.strain_by_displacement()[0, :, 3:5].reshape(goal.size, -1)
-            ease = _EASE * np.linalg.norm(slope, ord=2)
-            rows = np.vstack([slope, ease * np.eye(at.size)])
-            off = np.append(goal - here.strain[0, :, 3:5].ravel(), ease * (pulled - at))
-            step = lsq_linear(rows, off, (low - at - _ROOM, high - at + _ROOM), method="bvls").x
+            equilibrium = self.problem.body.shapes(at[None], error[None]).balance
+            slope = equilibrium.strain_by_displacement()[0, :, 3:5].reshape(goal.size, -1)
+            damping = _EASE * np.linalg.norm(slope, ord=2)
+            rows = np.vstack([slope, damping * np.eye(at.size)])
+            misfit = np.append(
+                goal - equilibrium.strain[0, :, 3:5].ravel(), damping * (pulled - at)
+            )
+            step = lsq_linear(rows, misfit, (low - at - _ROOM, high - at + _ROOM), method="bvls").x
             at = np.clip(at + step, low, high)
         return at

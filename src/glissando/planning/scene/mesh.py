@@ -126,7 +126,7 @@ def read_mesh(path: Path, pose: Array, scale: float = 1.0) -> Mesh:
     signed = _signed(solids, points.reshape(-1, 3)).reshape(points.shape[:3])
     faces = np.asarray(surface.faces, dtype=np.intp)
     mesh = Mesh(low, step, signed, np.asarray(surface.vertices), faces)
-    return replace(mesh, values=signed - _too_far(mesh, solids))
+    return replace(mesh, values=signed - _largest_overestimate(mesh, solids))
 
 
 def _closed_surface(path: Path, pose: Array, scale: float) -> Any:
@@ -194,11 +194,13 @@ def _joined(solids: list[Solid]) -> list[Solid]:
     import trimesh
 
     low, high = np.moveaxis(np.array([body.bounds for body, _ in solids]), 1, 0)
-    meet = np.all((low[:, None] <= high) & (low <= high[:, None]), axis=-1).sum(axis=1) > 1
-    alone = [not cavities and not meets for (_, cavities), meets in zip(solids, meet, strict=True)]
-    together = [body for (body, _), one in zip(solids, alone, strict=True) if one]
-    others = [solid for solid, one in zip(solids, alone, strict=True) if not one]
-    return others + ([(trimesh.util.concatenate(together), [])] if together else [])
+    overlaps = np.all((low[:, None] <= high) & (low <= high[:, None]), axis=-1).sum(axis=1) > 1
+    isolated = [
+        not cavities and not meets for (_, cavities), meets in zip(solids, overlaps, strict=True)
+    ]
+    merged = [body for (body, _), one in zip(solids, isolated, strict=True) if one]
+    others = [solid for solid, one in zip(solids, isolated, strict=True) if not one]
+    return others + ([(trimesh.util.concatenate(merged), [])] if merged else [])
 
 
 def _outwards(body: Any) -> Any:
@@ -231,7 +233,7 @@ def _distance(body: Any, point: Array) -> Array:
     return -np.concatenate([np.asarray(inside_out(body, part)) for part in parts])
 
 
-def _too_far(mesh: Mesh, solids: Sequence[Solid]) -> float:
+def _largest_overestimate(mesh: Mesh, solids: Sequence[Solid]) -> float:
     """Largest overestimate of distances near the surface, m, from random points there."""
     rng = np.random.default_rng(0)
     corners = mesh.vertices[mesh.triangles]

@@ -14,7 +14,7 @@ from glissando.planning.scene.risk import Clearances, HitBound
 from glissando.planning.scene.scene import Scene, SpaceZone
 from glissando.planning.scene.tendon_body import BodyShapes
 
-_HAZE = 0.25  # width of a zone's smooth boundary over its radius
+_BLUR = 0.25  # width of a zone's smooth boundary over its radius
 
 
 @dataclass(frozen=True)
@@ -123,10 +123,10 @@ def _accuracy(scene: Scene, space: MotionSpace, at: Evaluation, slopes: Slopes |
     for (k, _), target in zip(tip_misses(scene, space, at), scene.targets, strict=True):
         weight = scene.weights.accuracy / target.tolerance**2
         moves = at.shapes.moves[k, -1]
-        spread = moves @ at.known.off[k]
-        total += weight * float(np.sum(spread * moves))
+        moves_cov = moves @ at.known.off[k]
+        total += weight * float(np.sum(moves_cov * moves))
         if slopes is not None:
-            slopes.moves[k, -1] += 2.0 * weight * spread
+            slopes.moves[k, -1] += 2.0 * weight * moves_cov
             slopes.off[k] += weight * moves.T @ moves
     return total
 
@@ -135,13 +135,13 @@ def _time(scene: Scene, space: MotionSpace, at: Evaluation, slopes: Slopes | Non
     """Mean square distance from the next target at the corrections, over that at the start."""
     ends = np.array([target.time for target in scene.targets])
     positions = np.array([target.position for target in scene.targets])
-    late = np.minimum(np.searchsorted(ends, space.moments[space.corrected]), len(ends) - 1)
-    away = at.tip[space.corrected] - positions[late]
-    first = float(away[0] @ away[0]) + scene.targets[0].tolerance ** 2
-    weight = scene.weights.time / (first * len(away))
+    upcoming = np.minimum(np.searchsorted(ends, space.moments[space.corrected]), len(ends) - 1)
+    offset = at.tip[space.corrected] - positions[upcoming]
+    initial = float(offset[0] @ offset[0]) + scene.targets[0].tolerance ** 2
+    weight = scene.weights.time / (initial * len(offset))
     if slopes is not None:
-        slopes.place[space.corrected, -1] += 2.0 * weight * away
-    return weight * float(np.sum(away**2))
+        slopes.place[space.corrected, -1] += 2.0 * weight * offset
+    return weight * float(np.sum(offset**2))
 
 
 def _wear(scene: Scene, space: MotionSpace, at: Evaluation, slopes: Slopes | None) -> float:
@@ -165,13 +165,13 @@ def _zone(
     total = float(inside.sum()) + 1e-9
     scale = scene.weights.information * zone.weight / (scene.robot_radius**2 * total)
     moves = at.shapes.moves[k]
-    spread = moves @ at.known.corrections.own(at.known.corrections.before)[:, None]
-    variance = np.sum(spread * moves, axis=(-2, -1))
+    moves_cov = moves @ at.known.corrections.own(at.known.corrections.before)[:, None]
+    variance = np.sum(moves_cov * moves, axis=(-2, -1))
     value = scale * float(np.sum(inside * variance))
     if slopes is not None:
         by_inside = scale * variance - value / total
         slopes.place[k] += by_inside[..., None] * by_place
-        slopes.moves[k] += 2.0 * (scale * inside)[..., None, None] * spread
+        slopes.moves[k] += 2.0 * (scale * inside)[..., None, None] * moves_cov
         slopes.before += np.einsum("kn,knai,knaj->kij", scale * inside, moves, moves)
     return value
 
@@ -188,8 +188,8 @@ def _inside(shapes: BodyShapes, place: Array, zone: SpaceZone) -> tuple[Array, A
     assert zone.center is not None
     away = place - zone.center
     distance = np.linalg.norm(away, axis=-1)
-    haze = _HAZE * zone.radius
-    inside = 0.5 * (1.0 - np.tanh(0.5 * (distance - zone.radius) / haze))
-    by_distance = -inside * (1.0 - inside) / haze
+    blur = _BLUR * zone.radius
+    inside = 0.5 * (1.0 - np.tanh(0.5 * (distance - zone.radius) / blur))
+    by_distance = -inside * (1.0 - inside) / blur
     safe = np.maximum(distance, 1e-12)
     return inside, (by_distance / safe)[..., None] * away

@@ -90,10 +90,12 @@ class MotionProblem:
         rows, row_slopes = self._rows(shapes, values)
         fade = np.exp(-self.space.correction / self.time_scale)
         known = predict_covariance(self.belief.cov, rows, fade, self.body.left)
-        left = KnownError(known, self.space.position)
-        clearances, slopes = self._clearances(shapes, left)
+        deviation = KnownError(known, self.space.position)
+        clearances, slopes = self._clearances(shapes, deviation)
         hits = bound_hits(clearances)
-        out = Evaluation(control, values, shapes, left, row_slopes, clearances, slopes, hits, {})
+        out = Evaluation(
+            control, values, shapes, deviation, row_slopes, clearances, slopes, hits, {}
+        )
         return replace(out, terms=cost_terms(self.scene, self.space, out))
 
     def cut(self, at: Evaluation, spacing: float) -> tuple[MotionProblem, BodyShapes, Clearances]:
@@ -175,14 +177,14 @@ class MotionProblem:
         """Add gradients of the risk by positions and by their Jacobian with the model error."""
         events = np.nonzero(at.hits.by_mean)
         by_mean, by_error = weight * at.hits.by_mean[events], weight * at.hits.by_error[events]
-        normal, here = at.slopes[events], events[1:]
-        moved = (at.shapes.moves[here] @ by_error[..., None])[..., 0]
-        place, turned = at.shapes.place[here], np.empty_like(moved)
+        normal, place_indices = at.slopes[events], events[1:]
+        moved = (at.shapes.moves[place_indices] @ by_error[..., None])[..., 0]
+        place, by_turn = at.shapes.place[place_indices], np.empty_like(moved)
         for o, obstacle in enumerate(self.scene.obstacles):
             own = events[0] == o
-            turned[own] = (obstacle.curvature(place[own]) @ moved[own, :, None])[..., 0]
-        np.add.at(slopes.place, here, by_mean[:, None] * normal + turned)
-        np.add.at(slopes.moves, here, normal[:, :, None] * by_error[:, None, :])
+            by_turn[own] = (obstacle.curvature(place[own]) @ moved[own, :, None])[..., 0]
+        np.add.at(slopes.place, place_indices, by_mean[:, None] * normal + by_turn)
+        np.add.at(slopes.moves, place_indices, normal[:, :, None] * by_error[:, None, :])
 
     def _rows(self, shapes: BodyShapes, values: Array) -> tuple[Array, Array]:
         """Whitened rows (M, r, n) of the readings at each correction, and derivatives by arclength.

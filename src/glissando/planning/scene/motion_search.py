@@ -82,12 +82,12 @@ class Search:
         """Whether a motion misses a target or exceeds the allowed risk."""
         return self.merit(at) > at.cost + _FAR * _ROUNDING
 
-    def _gaps(self, at: Evaluation) -> Array:
+    def _margins(self, at: Evaluation) -> Array:
         """Margins (G+1,) of the targets and of the log risk; negative where violated."""
         risk = float(np.log(self.allowed)) - self.problem.log_risk(at)
         return np.append(_WITHIN - self.problem.misses(at), risk)
 
-    def _gap_slopes(self, at: Evaluation) -> Array:
+    def _margin_jacobian(self, at: Evaluation) -> Array:
         """Jacobian (G+1, n) of the margins by the free variables."""
         return -np.vstack([self.problem.misses_gradient(at), self._gradients(at)[1]])
 
@@ -114,13 +114,13 @@ class Search:
 
     def _penalty(self, at: Evaluation) -> float:
         """Cost plus violation of the constraints with a margin, scaled to keep steps short."""
-        short = np.maximum(_MORE - self._gaps(at), 0.0)
+        short = np.maximum(_MORE - self._margins(at), 0.0)
         return _SMALL * (at.cost + _FAR * float(short.sum()))
 
     def _penalty_gradient(self, at: Evaluation) -> Array:
-        short = self._gaps(at) < _MORE
+        short = self._margins(at) < _MORE
         slope = self._gradients(at)[0]
-        return _SMALL * (slope - _FAR * short @ self._gap_slopes(at))
+        return _SMALL * (slope - _FAR * short @ self._margin_jacobian(at))
 
     def _minimize(self, control: Array, iterations: int, *, penalty: bool = False) -> Evaluation:
         """Minimise from a motion by SLSQP; returns the given motion if the result is not better.
@@ -133,8 +133,8 @@ class Search:
             return self.at(self.problem.space.control(free))
 
         limits = {"type": "ineq", "fun": lambda x: ends - edges @ x, "jac": lambda x: -edges}
-        gaps = {"type": "ineq", "fun": lambda x: self._gaps(at(x)),
-                "jac": lambda x: self._gap_slopes(at(x))}  # fmt: skip
+        margins = {"type": "ineq", "fun": lambda x: self._margins(at(x)),
+                "jac": lambda x: self._margin_jacobian(at(x))}  # fmt: skip
         value = self._penalty if penalty else lambda e: e.cost
         slope = self._penalty_gradient if penalty else lambda e: self._gradients(e)[0]
         begin = self.at(control)
@@ -144,7 +144,7 @@ class Search:
             solution = minimize(
                 lambda x: value(at(x)), first, method="SLSQP", jac=lambda x: slope(at(x)),
                 bounds=np.stack([low, high], axis=-1),
-                constraints=[limits] if penalty else [limits, gaps],
+                constraints=[limits] if penalty else [limits, margins],
                 options={"maxiter": iterations, "ftol": _CLOSE * (_SMALL if penalty else 1.0)},
             )  # fmt: skip
         except NoShapeError:  # a trial step left the shapes with an equilibrium
@@ -171,8 +171,8 @@ def _parts(problem: MotionProblem, motion: Evaluation) -> Index:
     """Number of parts (K−1,), a power of two, into which the time to the next moment is split."""
     space, clearances = problem.space, motion.clearances
     way = np.linalg.norm(np.diff(motion.shapes.place, axis=0), axis=-1)
-    least = _both(clearances.mean, np.minimum) - way
-    near = np.any(least < _NEAR * _both(clearances.std(), np.maximum), axis=0)
+    least = _over_neighbours(clearances.mean, np.minimum) - way
+    near = np.any(least < _NEAR * _over_neighbours(clearances.std(), np.maximum), axis=0)
     longest = np.max(way, axis=1, where=near, initial=0.0)
     strides = longest / (_STRIDE * problem.scene.robot_radius)
     most = np.diff(space.moments) * 2**_HALVINGS / space.correction
@@ -181,7 +181,7 @@ def _parts(problem: MotionProblem, motion: Evaluation) -> Index:
     return out
 
 
-def _both(values: Array, which: np.ufunc) -> Array:
+def _over_neighbours(values: Array, which: np.ufunc) -> Array:
     """Minimum or maximum (O, K−1, N), by `which`, of values (O, K, N) at neighbouring moments."""
     out: Array = which(values[:, 1:], values[:, :-1])
     return out

@@ -136,9 +136,9 @@ def motion_problem(
     spacing = max(_SPACING * scene.robot_radius, robot.length / _PLACES)
     body = tendon_body(robot, spacing)
     straight = body.shapes(np.zeros((1, len(body.rod.tendons)))).pose[0, -1]
-    sensed, left = sensor_errors(scene.sensors, robot, straight)
+    sensed, neglected = sensor_errors(scene.sensors, robot, straight)
     if senses:
-        _warn_of_sensors(scene, robot, sensed, left)
+        _warn_of_sensors(scene, robot, sensed, neglected)
     size = body.errors + sensed.std.size  # the belief is the prior of the robot file
     belief = ErrorBelief.unknown(size)
     warn_of_weight(robot, body.straight_std)
@@ -199,9 +199,9 @@ def plan_motion(
         reaches = [reach_target(problem, k) for k in range(len(problem.scene.targets))]
         first = starts(problem, np.stack(reaches), seed, warm_start)
         search = Search(problem, problem.scene.delta * _SHARE)
-        worth = [search.value(control) for control in first]
-        ranked = _of_different_tendons(
-            [first[k] for k in np.argsort(worth, kind="stable")], len(problem.scene.tendons)
+        merits = [search.value(control) for control in first]
+        ranked = _distinct_in_tendons(
+            [first[k] for k in np.argsort(merits, kind="stable")], len(problem.scene.tendons)
         )[:candidates]
         motions = []
         for part, control in enumerate(ranked):
@@ -210,10 +210,10 @@ def plan_motion(
             if progress:
                 progress(part + 1, len(ranked) + _ROUNDS, f"cost {motions[-1].cost:.4g}")
         search, best = improved(search, min(motions, key=search.merit), iterations)
-        return _checked(_use_up(search, best, iterations, seed, progress, len(ranked)))
+        return _checked(_adjust_limit(search, best, iterations, seed, progress, len(ranked)))
 
 
-def _of_different_tendons(motions: list[Array], count: int) -> list[Array]:
+def _distinct_in_tendons(motions: list[Array], count: int) -> list[Array]:
     """Motions (C, S+2) without those whose first `count` rows, the tendons, are duplicates."""
     first: dict[bytes, Array] = {}
     for motion in motions:
@@ -236,7 +236,7 @@ def improved(search: Search, motion: Evaluation, iterations: int) -> tuple[Searc
     return search, motion
 
 
-def _use_up(
+def _adjust_limit(
     search: Search, best: Evaluation, iterations: int, seed: int,
     progress: Progress | None, parts: int,
 ) -> MotionPlan:  # fmt: skip

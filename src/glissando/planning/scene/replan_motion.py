@@ -99,7 +99,7 @@ class MotionReplanner:
 
     def _submit(self) -> None:
         follower, problem = self.follower, self.follower.problem
-        start = follower.due + _even(self.lead, problem.scene.correction)
+        start = follower.due + _rounded_up(self.lead, problem.scene.correction)
         last = max(target.time for target in problem.scene.targets)
         if last - start < _SHORTEST * problem.space.paths[0].step:
             self._next = np.inf
@@ -108,7 +108,7 @@ class MotionReplanner:
         allowed = self.plan.problem.scene.delta - self.spent
         belief = follower.belief.after(start - follower.time, problem.time_scale)
         values = follower.at(start)
-        state = values, _slowed(problem.space.paths, values, speed)
+        state = values, _stoppable_speed(problem.space.paths, values, speed)
         self.planner.submit(partial(continue_motion, follower.plan, start, state, belief, allowed))
         self._due, self._next = start, self.begun + start + self.every
 
@@ -145,7 +145,7 @@ class MotionReplanner:
         self.plans += 1
 
 
-def _slowed(paths: Sequence[PathSpace], values: Array, speed: Array) -> Array:
+def _stoppable_speed(paths: Sequence[PathSpace], values: Array, speed: Array) -> Array:
     """Speeds (C,) reduced so that the paths can stop from values (C,) within their limits."""
     low, high, sharpest = np.array([[p.lower, p.upper, p.acceleration] for p in paths]).T
     room = np.where(speed > 0.0, high - values, values - low)
@@ -153,7 +153,7 @@ def _slowed(paths: Sequence[PathSpace], values: Array, speed: Array) -> Array:
     return np.clip(speed, -fastest, fastest)
 
 
-def _even(time: float, correction: float) -> float:
+def _rounded_up(time: float, correction: float) -> float:
     """The time rounded up to a multiple of the correction interval."""
     return float(np.ceil(time / correction - _ROUNDING) * correction)
 
@@ -191,20 +191,20 @@ def continue_motion(
     with one_thread():
         before = np.searchsorted(plan.problem.space.moments, start - _ROUNDING)
         spent = sample_risk(plan.problem, plan.evaluation, moments=int(before))[0]
-        left = max(allowed - spent, _LEAST_RISK)
+        remaining = max(allowed - spent, _LEAST_RISK)
         try:
-            problem = _rest(plan.problem, start, state, belief, left)
+            problem = _remaining_problem(plan.problem, start, state, belief, remaining)
         except GlissandoError:  # no admissible path begins at this state
             return Continuation(None, 0.0)
-        search = Search(problem, _SHARE * left)
-        new = _moving_on(search, plan, start, state[0])
-        if new.risk <= left + 2.0 * new.risk_std:
+        search = Search(problem, _SHARE * remaining)
+        new = _continued(search, plan, start, state[0])
+        if new.risk <= remaining + 2.0 * new.risk_std:
             return Continuation(new, spent)
         still = np.repeat(state[0][:, None], new.evaluation.control.shape[1], axis=1)
         braked = _with_risk(*judged_closely(search, search.at(problem.space.follow(still))))
     reason = (
-        f"Of what is left of the motion {100.0 * new.risk:.2g} % would hit, and {100.0 * left:.2g} "
-        f"% are allowed; "
+        f"Of what is left of the motion {100.0 * new.risk:.2g} % would hit, and "
+        f"{100.0 * remaining:.2g} % are allowed; "
     )
     if braked.risk >= new.risk:
         return Continuation(new, spent, exceeded=f"{reason}to stop would be no safer.")
@@ -215,7 +215,7 @@ def continue_motion(
     return Continuation(braked, spent, reason)
 
 
-def _moving_on(search: Search, plan: MotionPlan, start: float, values: Array) -> MotionPlan:
+def _continued(search: Search, plan: MotionPlan, start: float, values: Array) -> MotionPlan:
     """Rest of a plan from values (C,) of the actuators, improved until its risk is allowed."""
     space, planned = search.problem.space, MotionFollower(plan).planned
     ahead = planned(start + space.paths[0].control_times)
@@ -235,7 +235,7 @@ def _with_risk(search: Search, motion: Evaluation) -> MotionPlan:
     return MotionPlan(problem, motion, *sample_risk(problem, motion), problem.scene.delta)
 
 
-def _rest(
+def _remaining_problem(
     problem: MotionProblem, start: float, state: tuple[Array, Array], belief: ErrorBelief,
     allowed: float,
 ) -> MotionProblem:  # fmt: skip

@@ -86,8 +86,8 @@ def bound_hits(clearances: Clearances) -> HitBound:
     moment = events[:, 1]
     late = moment[own] != moment[earlier]
     mixed = np.empty((own.size, a.shape[1]))  # cov(model error, earlier clearance)
-    mixed[~late] = _rows(c.cov, moment[own[~late]], a[earlier[~late]])
-    mixed[late] = _rows(c.lagged.mT, moment[earlier[late]], a[earlier[late]])
+    mixed[~late] = _block_products(c.cov, moment[own[~late]], a[earlier[~late]])
+    mixed[late] = _block_products(c.lagged.mT, moment[earlier[late]], a[earlier[late]])
     shared = np.einsum("ei,ei->e", a[own], mixed) + c.floor**2
     rho = np.clip(shared / (s[own] * s[earlier]), -_NEAR, _NEAR)
     both = both_below(-b[own], -b[earlier], rho)
@@ -117,28 +117,28 @@ def _slopes(
     np.add.at(by_std, earlier, -by_rho * rho / s[earlier])
     by_variance = 0.5 * by_std / s
     moment = events[:, 1]
-    by_error = 2.0 * by_variance[:, None] * _rows(c.cov, moment, a)
+    by_error = 2.0 * by_variance[:, None] * _block_products(c.cov, moment, a)
     by_cov, by_lagged = np.zeros_like(c.cov), np.zeros_like(c.lagged)
     np.add.at(by_cov, moment, by_variance[:, None, None] * a[:, :, None] * a[:, None, :])
     by_shared = by_rho / (s[own] * s[earlier])
     np.add.at(by_error, own, by_shared[:, None] * mixed)
     late = moment[own] != moment[earlier]
     weighted = by_shared[:, None] * a[own]
-    here, before = moment[own], moment[earlier]
+    own_moment, earlier_moment = moment[own], moment[earlier]
     back = np.empty_like(weighted)
-    back[~late] = _rows(c.cov, here[~late], weighted[~late])
-    back[late] = _rows(c.lagged, before[late], weighted[late])
+    back[~late] = _block_products(c.cov, own_moment[~late], weighted[~late])
+    back[late] = _block_products(c.lagged, earlier_moment[late], weighted[late])
     np.add.at(by_error, earlier, back)
     outer = a[earlier][:, :, None] * weighted[:, None, :]
-    np.add.at(by_cov, here[~late], 0.5 * (outer[~late] + outer[~late].mT))
-    np.add.at(by_lagged, before[late], outer[late])
+    np.add.at(by_cov, own_moment[~late], 0.5 * (outer[~late] + outer[~late].mT))
+    np.add.at(by_lagged, earlier_moment[late], outer[late])
     full_mean, full_error = np.zeros_like(c.mean), np.zeros_like(c.by_error)
     full_mean[tuple(events.T)] = by_beta / s
     full_error[tuple(events.T)] = by_error
     return HitBound(value, full_mean, full_error, by_cov, by_lagged)
 
 
-def _rows(blocks: Array, block: Index, rows: Array) -> Array:
+def _block_products(blocks: Array, block: Index, rows: Array) -> Array:
     """Products (E, q) of rows (E, q) with the blocks (q, q) selected for each."""
     return (blocks[block] @ rows[..., None])[..., 0]
 
@@ -168,6 +168,6 @@ def both_below(x: Array, y: Array, rho: Array) -> Array:
     """P(X < x, Y < y) of standard normal variables with correlations (E,). Source: Owen 1956."""
     x, y = np.where(x == 0.0, 1e-12, x), np.where(y == 0.0, 1e-12, y)
     root = np.sqrt(1.0 - rho**2)
-    apart = owens_t(x, (y / x - rho) / root) + owens_t(y, (x / y - rho) / root)
+    owen_terms = owens_t(x, (y / x - rho) / root) + owens_t(y, (x / y - rho) / root)
     opposite = np.where(x * y < 0.0, 0.5, 0.0)
-    return np.maximum(0.5 * (ndtr(x) + ndtr(y)) - apart - opposite, 0.0)
+    return np.maximum(0.5 * (ndtr(x) + ndtr(y)) - owen_terms - opposite, 0.0)

@@ -76,22 +76,22 @@ def _sampled_errors(known: KnownError, count: int, rng: np.random.Generator) -> 
     """
     at, (correction, share) = known.corrections, known.shares
     error = rng.standard_normal((count, at.before.shape[-1])) @ half_axes(at.before[0]).T
-    found, stirred = np.zeros_like(error), np.sqrt(1.0 - at.fade**2)
+    estimate, noise_std = np.zeros_like(error), np.sqrt(1.0 - at.fade**2)
     size = len(at.left)
     off = error[:, :size]
     for k in range(len(at.before) - 1):
-        rest = at.after[k] - at.free[k] @ at.before[k] @ at.free[k].T
-        read = error @ at.free[k].T + rng.standard_normal(error.shape) @ half_axes(rest).T
-        found = at.fade * (found + error - read)
-        error = at.fade * read + stirred * rng.standard_normal(error.shape)
-        later = error[:, :size] + found[:, :size] @ at.left.T
-        wandered, before = np.zeros_like(off), 0.0
+        noise_cov = at.after[k] - at.free[k] @ at.before[k] @ at.free[k].T
+        updated = error @ at.free[k].T + rng.standard_normal(error.shape) @ half_axes(noise_cov).T
+        estimate = at.fade * (estimate + error - updated)
+        error = at.fade * updated + noise_std * rng.standard_normal(error.shape)
+        later = error[:, :size] + estimate[:, :size] @ at.left.T
+        bridge, before = np.zeros_like(off), 0.0
         for part in share[correction == k]:
-            gone, own = at.bridge(np.array([before, part]), np.array([part, part]))
+            cross, variance = at.bridge(np.array([before, part]), np.array([part, part]))
             of_before = float(at.bridge(np.array(before), np.array(before)))
-            keep = gone / of_before if of_before else 0.0
-            fresh = np.sqrt(max(own - keep * gone, 0.0))
-            wandered = keep * wandered + fresh * rng.standard_normal(off.shape)
+            keep = cross / of_before if of_before else 0.0
+            step_std = np.sqrt(max(variance - keep * cross, 0.0))
+            bridge = keep * bridge + step_std * rng.standard_normal(off.shape)
             before = float(part)
-            yield (1.0 - part) * off + part * later + wandered
+            yield (1.0 - part) * off + part * later + bridge
         off = later

@@ -66,18 +66,20 @@ def unsure_numbers(robot: Robot) -> str:
         return ""
     reach = np.where(np.isfinite(tendons.learned_to), tendons.learned_to, _PULLED * robot.length)
     time, tip = np.arange(float(len(tendons))), np.array([robot.length])
-    sure = replace(robot, tendons=replace(tendons, replicates=(), left_open=()))
+    known_robot = replace(robot, tendons=replace(tendons, replicates=(), left_open=()))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FalseConfidenceWarning)  # planning itself issues it
-        std = [predict(each, time, np.diag(reach), tip).std_position for each in (robot, sure)]
-    whole, counted = (float(np.sqrt(np.mean(each**2))) for each in std)
-    left = float(np.sqrt(max(whole**2 - counted**2, 0.0)))
-    if left < _NOTICED * counted:
+        std = [
+            predict(each, time, np.diag(reach), tip).std_position for each in (robot, known_robot)
+        ]
+    total, counted = (float(np.sqrt(np.mean(each**2))) for each in std)
+    omitted = float(np.sqrt(max(total**2 - counted**2, 0.0)))
+    if omitted < _NOTICED * counted:
         return ""
     return (
         f"The risk leaves out how surely the numbers of [tendons] were learned: they leave the tip "
-        f"unsure by {1e3 * left:.2g} mm, beside {1e3 * counted:.2g} mm that count, so hits may be "
-        f"more frequent than is stated. Learn from more motions, or state a larger psd_moment."
+        f"unsure by {1e3 * omitted:.2g} mm, beside {1e3 * counted:.2g} mm that count, so hits may "
+        f"be more frequent than is stated. Learn from more motions, or state a larger psd_moment."
     )
 
 

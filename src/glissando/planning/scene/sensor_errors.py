@@ -70,13 +70,13 @@ class SensorErrors:
         out, ends = np.zeros((*by_state.shape[:2], self.std.size)), [0]
         for each in self.parameters:
             ends.append(ends[-1] + each.std.size)
-        own = [k for k, each in enumerate(self.parameters) if readings.name in each.streams]
+        affecting = [k for k, each in enumerate(self.parameters) if readings.name in each.streams]
         pairs = [
             (each, np.tile(each.value, (len(readings), 1)))
-            for each in (self.parameters[k] for k in own)
+            for each in (self.parameters[k] for k in affecting)
         ]
         slopes = by_parameters(readings, readings, at, by_state, pairs) if pairs else []
-        for k, slope in zip(own, slopes, strict=True):
+        for k, slope in zip(affecting, slopes, strict=True):
             out[..., ends[k] : ends[k + 1]] = slope * self.parameters[k].std
         return out
 

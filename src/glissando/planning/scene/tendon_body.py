@@ -215,7 +215,7 @@ class BodyShapes:
     def twist(self) -> Array:
         """Spatial twists (K, N, 6, q) of the places by ξ, by the midpoint rule over each step."""
         middle, by_error = self._fine[:, 1::2], self.strain_by_error[:, self.body.piece]
-        out = _summed_up(self.body.step[:, None, None] * (se3.adjoint(middle) @ by_error))
+        out = _cumulative_sum(self.body.step[:, None, None] * (se3.adjoint(middle) @ by_error))
         own = out.shape[-1] - self.body.base.shape[1]
         out[..., own:] = (se3.adjoint(self.base) @ self.body.base)[:, None]
         return out
@@ -251,14 +251,14 @@ class BodyShapes:
             here = tuple(at)
             turn, own = self.pose[here][..., :3, :3], twist[here][..., 3:, :]
             linear, angular = turn @ slope[..., :3, :], turn @ slope[..., 3:, :]
-            turned = -_summed(self.moves[here], linear) - _summed(own, angular)
+            turned = -_summed_cross(self.moves[here], linear) - _summed_cross(own, angular)
             for whole, part in ((by_turn, turned), (by_moves, linear), (by_angular, angular)):
                 for one, its_part in zip(whole, part, strict=True):
                     np.add.at(one, here, its_part)
-        by_place = by_place + _summed(by_moves, twist[..., 3:, :])
+        by_place = by_place + _summed_cross(by_moves, twist[..., 3:, :])
         by_angular += _cross(self.place[..., None], by_moves)
         by_twist = np.concatenate([by_moves, by_angular], axis=-2)
-        by_step = _summed_up(by_twist[..., :0:-1, :, :])[..., :0:-1, :, :]
+        by_step = _cumulative_sum(by_twist[..., :0:-1, :, :])[..., :0:-1, :, :]
         by_step *= self.body.step[:, None, None]
         by_strain_slope, wrench_middle = self._back_steps(by_step)
         wrench = np.zeros((len(by_place), *self._fine.shape[:2], 6))
@@ -282,8 +282,8 @@ class BodyShapes:
         rows = self._by_piece(rows.reshape(slope.shape), axis=2)
         own = self.strain_by_error[:, self.body.piece]
         linear, angular = turn @ own[..., :3, :], turn @ own[..., 3:, :]
-        by_place = _summed(angular, by_step[..., :3, :])
-        by_turn = _summed(linear, by_step[..., :3, :]) + _summed(angular, moved)
+        by_place = _summed_cross(angular, by_step[..., :3, :])
+        by_turn = _summed_cross(linear, by_step[..., :3, :]) + _summed_cross(angular, moved)
         wrench = np.concatenate([by_place, np.cross(place[..., 0], by_place) + by_turn], axis=-1)
         return rows, wrench
 
@@ -294,7 +294,7 @@ class BodyShapes:
 
     def _by_strain(self, wrench: Array) -> Array:
         """Gradients (G, K, P, 6) by strain, from wrenches (G, K, 2N−1, 6) on the poses."""
-        ahead = _summed_up(wrench[..., :0:-1, :, None])[..., :0:-1, :, :]
+        ahead = _cumulative_sum(wrench[..., :0:-1, :, None])[..., :0:-1, :, :]
         local = (se3.adjoint(self._fine[:, :-1]).mT @ ahead)[..., 0]
         local = self._by_piece(local[..., ::2, :] + local[..., 1::2, :], axis=2)
         half = (0.5 * self.body.rod.length / self.body.steps)[:, None]
@@ -302,7 +302,7 @@ class BodyShapes:
         return np.asarray((along.mT @ local[..., None])[..., 0])
 
 
-def _summed_up(steps: Array) -> Array:
+def _cumulative_sum(steps: Array) -> Array:
     """Cumulative sums (…, N+1, 6, q), beginning with zero, of steps (…, N, 6, q)."""
     *lead, count, rows, columns = steps.shape
     out = np.zeros((*lead, count + 1, rows, columns))
@@ -317,7 +317,7 @@ def _cross(a: Array, b: Array) -> Array:
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-2)
 
 
-def _summed(a: Array, b: Array) -> Array:
+def _summed_cross(a: Array, b: Array) -> Array:
     """Sums (…, 3) over the q columns of the cross products of columns (…, 3, q)."""
     product = a @ b.mT
     return np.stack(
