@@ -1,6 +1,6 @@
 """Files and folders that are written whole or not at all.
 
-They are made aside, flushed to disk, then renamed into place.
+Each is built under a temporary path, flushed to disk, then renamed into place.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from glissando.geometry.se3 import Array
 
 @contextmanager
 def new_file(path: str | Path) -> Iterator[Path]:
-    """A file to write, which takes the place of `path` if the context ends without an exception.
+    """A new file that replaces `path` if the context ends without an exception.
 
-    Whatever stops the writer before, the file that was there stays as it was; after a kill a hidden
-    folder beside it may remain. What is no plain file, such as a pipe, is written directly.
+    If the writer fails or is killed, an existing file stays unchanged; after a kill a hidden folder
+    beside it may remain. A path that is not a regular file, such as a pipe, is written directly.
 
     Args:
-        path: The file to write; its folder is made if it is missing.
+        path: File to write; its folder is created if it is missing.
 
     Yields:
-        The path to write to, of the same name in a folder of its own.
+        Path to write to, of the same name in a temporary folder.
 
     Raises:
-        GlissandoError: The disk refused; the sentence says why.
+        GlissandoError: The file cannot be written; the message gives the system's reason.
     """
     path = Path(path)
     try:
@@ -60,11 +60,11 @@ def write_text(path: str | Path, text: str) -> None:
     """Write a text in UTF-8, whole or not at all.
 
     Args:
-        path: The file to write; its folder is made if it is missing.
-        text: What it will hold.
+        path: File to write; its folder is created if it is missing.
+        text: Content of the file.
 
     Raises:
-        GlissandoError: The disk refused.
+        GlissandoError: The file cannot be written.
     """
     with new_file(path) as building:
         building.write_text(text, encoding="utf-8")
@@ -74,19 +74,19 @@ def write_table(path: str | Path, columns: Sequence[str], table: Array) -> None:
     """Write numbers as CSV with a header line, whole or not at all; times keep all their digits.
 
     Args:
-        path: The file to write; its folder is made if it is missing.
+        path: File to write; its folder is created if it is missing.
         columns: Names of the columns.
-        table: The rows (M, C).
+        table: Rows (M, C).
 
     Raises:
-        GlissandoError: The disk refused.
+        GlissandoError: The file cannot be written.
     """
     with new_file(path) as building:
         np.savetxt(building, table, formats(columns), ",", header=",".join(columns), comments="")
 
 
 def formats(columns: Sequence[str]) -> list[str]:
-    """How the numbers of each column are written: a time as short as it stays exact.
+    """Number formats of the columns: a time in the fewest digits that are exact, else 12 digits.
 
     >>> ",".join(formats(["time", "x"])) % (1700000000.123456, 0.1 + 0.2)
     '1700000000.123456,0.3'
@@ -95,7 +95,7 @@ def formats(columns: Sequence[str]) -> list[str]:
 
 
 def require_new(folder: Path, error: type[GlissandoError]) -> None:
-    """Require that a folder can be made: it is absent, or an empty folder.
+    """Require that a folder can be created: its path is free or is an empty folder.
 
     Args:
         folder: The folder.
@@ -109,18 +109,18 @@ def require_new(folder: Path, error: type[GlissandoError]) -> None:
 
 @contextmanager
 def new_folder(folder: Path, error: type[GlissandoError]) -> Iterator[Path]:
-    """A folder to write into, which becomes `folder` if the context ends without an exception.
+    """A temporary folder that is renamed to `folder` if the context ends without an exception.
 
     Args:
-        folder: The folder to make.
-        error: Class of the error to raise when it holds something or is no folder.
+        folder: Folder to create.
+        error: Class of the error to raise if the path is a folder with content or not a folder.
     """
     require_new(folder, error)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(
         prefix=f".{folder.name}-", dir=folder.parent, ignore_cleanup_errors=True
     ) as place:
-        building = Path(place, folder.name)  # of the usual permissions, unlike the place
+        building = Path(place, folder.name)  # with the usual permissions, unlike `place`
         building.mkdir()
         yield building
         if folder.exists():
@@ -130,21 +130,21 @@ def new_folder(folder: Path, error: type[GlissandoError]) -> Iterator[Path]:
 
 @contextmanager
 def renewed_folder(folder: Path, owned: Collection[str]) -> Iterator[Path]:
-    """A folder to write into, whose files take the place of those of an earlier run.
+    """A temporary folder whose files replace those of an earlier run in `folder`.
 
-    Until the context ends without an exception the files in `folder` stay as they were; then those
-    of the names `owned` go, for they belong to the earlier run, and the new ones come. Files of
-    other names stay.
+    The files in `folder` stay unchanged until the context ends without an exception. Then all files
+    named in `owned`, which belong to the earlier run, are deleted and the new files are moved in.
+    Files of other names stay.
 
     Args:
-        folder: The folder whose files are renewed; made if it is missing.
+        folder: Folder whose files are replaced; created if it is missing.
         owned: Names of all files that such a run may write.
 
     Yields:
-        The folder to write into.
+        Temporary folder to write into.
 
     Raises:
-        GlissandoError: The disk refused; the sentence says why.
+        GlissandoError: The folder cannot be written to; the message gives the system's reason.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,7 @@
-"""One CSV file, one stream of rows: read, checked row by row, and cleaned of repeats.
+"""Streams of readings in CSV files: reading, checks row by row, removal of repeated rows.
 
-Two dialects: the public space-time files (two header lines, pose rows as se(3) logarithms) and our
-own (one header line of named columns). Problems are reported with the file and the line.
+There are two layouts: that of the public space-time recordings (two header lines, poses as se(3)
+logarithms) and our own (one header line of named columns). Errors name the file and the line.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ _OFF_RATE = 2e-3  # share by which two clocks may differ
 
 @dataclass(frozen=True)
 class Rows(ShortRepr):
-    """Readings of one stream as a file holds them, without noise.
+    """Readings of one stream as stored in a file, without their noise covariance.
 
     Attributes:
         kind: Kind of sensor.
         time: Times (M,), s.
         arclength: Arclengths (M,), m.
-        values: Values (M, …) as the kind's readings take them, SI units.
+        values: Values (M, …) in the shape of the kind's readings, SI units.
         dropped: Number of rows left out, by reason.
-        settings: Settings of the stream that the kind declares.
+        settings: Constants of the stream that its kind of sensor declares, by name, SI units.
     """
 
     kind: str
@@ -52,7 +52,7 @@ class Rows(ShortRepr):
 
     @property
     def sensor(self) -> type[Readings]:
-        """The class that declares the kind."""
+        """Class of readings that declares the kind."""
         return sensor_class(self.kind)
 
     @property
@@ -67,17 +67,17 @@ class Rows(ShortRepr):
 
 @dataclass(frozen=True)
 class Stream(ShortRepr):
-    """One sensor's rows and their description.
+    """One sensor's rows and the description of the sensor.
 
     Attributes:
         name: Name of the stream and of its file.
         rows: The rows.
-        truth: Whether estimates are judged by it.
-        std: Standard deviations, which override those of the robot file; None to take those.
+        truth: Whether the stream is ground truth, with which estimates are compared.
+        std: Standard deviations of the sensor's noise; None to take those of the robot file.
         mount: Pose T_bc (4, 4) of the sensor in the cross-section.
-        keep_repeats: Whether rows that repeat the one before are readings of their own.
-        frame: Frame of the rows; streams of a loaded recording are in the world frame.
-        channel: The channel beside the backbone that it slides in, if there is one.
+        keep_repeats: Whether a row with the values of the row before is a new measurement.
+        frame: Frame of the rows; a loaded recording's are in the world unless it is unknown.
+        channel: Channel beside the backbone in which the sensor slides; None for the backbone.
     """
 
     name: str
@@ -91,10 +91,10 @@ class Stream(ShortRepr):
 
 
 def scale_of(unit: str, length: float, angle: float) -> float:
-    """Factor to SI of a declared unit in a file whose lengths and angles are scaled.
+    """Factor from a file's unit to SI, where the file has its own units of length and angle.
 
     Args:
-        unit: Unit in m, rad, 1 and quotients of these.
+        unit: Declared unit in m, rad, 1 and quotients of these.
         length: Metres of the file's unit of length.
         angle: Radians of the file's unit of angle.
 
@@ -107,7 +107,7 @@ def scale_of(unit: str, length: float, angle: float) -> float:
 
 
 def is_public(path: Path) -> bool:
-    """Whether a file begins as a stream of the public space-time recordings does."""
+    """Whether a file begins with the header of a stream of the public space-time recordings."""
     try:
         require_plain(path)
         with path.open("rb") as file:
@@ -119,12 +119,12 @@ def is_public(path: Path) -> bool:
 
 
 def read_public(path: Path) -> tuple[Rows, bool]:
-    """A stream of the public space-time recordings, and whether it is ground truth.
+    """Read a stream of the public space-time recordings, and whether it is ground truth.
 
     Rows are `time, arclength, values`; poses are logarithms [rho, phi] of T_wb.
 
     Raises:
-        RecordingError: The file is not one of those, with the line.
+        RecordingError: The file has another layout or a wrong row; the message names the line.
     """
     lines = _lines(path)
     head = [part.strip() for part in lines[0].split(",")] if lines else []
@@ -155,18 +155,20 @@ def read_named(
     angle_unit: float = 1.0,
     journal: bool = False,
 ) -> Rows:
-    """A stream with one header line of column names, in any order.
+    """Read a stream with one header line of column names, in any order.
 
     Args:
         path: CSV file.
         kind: Kind of sensor.
-        settings: Settings of the stream, SI units.
+        settings: Constants of the stream that its kind declares, by name, SI units.
         length_unit: Metres of the file's unit of length.
         angle_unit: Radians of the file's unit of angle.
-        journal: Whether rows may go back in time, be none, and end in an unfinished line.
+        journal: Whether to allow times out of order, no rows, and an unfinished last line; rows
+            are then sorted by time.
 
     Raises:
-        RecordingError: A column, a number or the file is missing or wrong, with the line.
+        RecordingError: A column, a number or the file is missing or wrong; the message names the
+            line.
     """
     lines = _lines(path, whole=journal)
     if not lines:
@@ -201,21 +203,24 @@ def read_named(
 
 
 def write_named(path: Path, rows: Rows) -> None:
-    """Write rows as one header line of column names and a line a row, SI units."""
+    """Write rows as CSV with one header line of column names, SI units."""
     write_table(path, rows.columns, rows.table())
 
 
 def clean(rows: Rows, clip: float | None = None, keep_repeats: bool = False) -> Rows:
-    """Rows without a tracker's repeats and without clipped samples, which are counted.
+    """Remove a tracker's repeated rows and other sensors' clipped rows, and count them.
 
-    A tracker polled faster than it measures returns the same values again; counted twice they
-    would be information twice, and at a sensor's next place they would be wrong as well. A value
-    at the end of its sensor's range is only a bound.
+    A tracker polled faster than it measures returns the same values again. They carry no new
+    information, and are wrong if the sensor has moved on meanwhile. A value at the end of its
+    sensor's range is only a bound.
 
     Args:
-        rows: The rows.
-        clip: Largest value that the sensor can report; None if any.
-        keep_repeats: Whether a tracker's rows are left alone.
+        rows: Rows of one stream.
+        clip: Largest absolute value that the sensor can report; None if unlimited.
+        keep_repeats: Whether to keep a tracker's repeated rows.
+
+    Returns:
+        Remaining rows, whose `dropped` counts the removed ones.
     """
     if len(rows.time) == 0 or (rows.sensor.tracker and keep_repeats):
         return rows
@@ -234,17 +239,17 @@ def clean(rows: Rows, clip: float | None = None, keep_repeats: bool = False) -> 
 
 
 def steady(rows: Rows, rate: float) -> Rows:
-    """Rows at the times of a device that measures `rate` times a second, very nearly steadily.
+    """Replace time stamps by the times of a device that measures at a constant rate, Hz.
 
-    A host that polls faster than a tracker measures stamps a value up to one of its own periods
-    late. Such rows are numbered by the device's period, found within 0.2 %, and a straight line
-    through the stamps is their time; the mean of the stamps stays. Rows of which none was repeated
-    keep their stamps. Where the host polls in step with the device (to 0.3 % a simple fraction of
-    its period) the lateness drifts as slowly as a clock does and cannot be told from one: times
-    are then off by up to the host's period.
+    A host that polls faster than a tracker measures stamps a value up to one polling period late.
+    The device's period is estimated within 0.2 % of 1/`rate`, each row is numbered by it, and a
+    line fitted to stamps over numbers gives the times; the mean stamp is unchanged. Rows among
+    which none was repeated keep their stamps. If the polling period is within 0.3 % of a simple
+    fraction of the device's period, the lateness drifts as slowly as a clock and cannot be
+    separated from it: times are then wrong by up to the polling period.
 
     Raises:
-        RecordingError: The stamps do not fit such a device.
+        RecordingError: The stamps do not fit a device of this rate.
     """
     if "repeated" not in rows.dropped or len(rows.time) < 3:
         return rows
@@ -277,7 +282,7 @@ def _require_unit(path: Path, lines: list[str], quaternion: Array) -> None:
 
 
 def _lines(path: Path, *, whole: bool = False) -> list[str]:
-    """The lines of a file, or only those that end."""
+    """Lines of a file; if `whole`, without an unfinished last line."""
     try:
         text = plain_text(path)
     except OSError as problem:
@@ -292,7 +297,10 @@ def _lines(path: Path, *, whole: bool = False) -> list[str]:
 def _numbers(
     path: Path, lines: list[str], first: int, width: int, clock: int | None = None
 ) -> Array:
-    """The rows from line `first` on as numbers (M, width); at least one with a column `clock`."""
+    """Numbers (M, width) of the rows after the first `first` lines; empty lines are skipped.
+
+    With a column `clock`, there must be a row and the clock must not decrease.
+    """
     table = np.empty((max(len(lines) - first, 0), width))
     count, before = 0, -np.inf
     for number, line in enumerate(lines[first:], start=first + 1):

@@ -1,8 +1,8 @@
-"""A journal: readings on disk before they are used, as a recording that only grows.
+"""A journal of readings: a recording folder to which rows are appended as they arrive.
 
-Each call ends with the rows handed to the operating system, so a process that is killed loses none
-of them; they are flushed to disk once a second. The result is a recording folder like any other,
-with the rows of a stream in order of arrival.
+Each call hands its rows to the operating system before it returns, so that a killed process loses
+none of them; they are flushed to disk once a second. The result is a recording folder like any
+other, with the rows of a stream in order of arrival.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ _SYNC = 1.0  # s between flushes to disk
 
 
 class Journal:
-    """Appends readings to a recording folder, new or of an earlier journal.
+    """Append readings to a recording folder, new or of an earlier journal.
 
     Args:
-        folder: The folder.
+        folder: Folder of the recording.
         name: Name of a new recording.
-        robot: The robot that a new recording names; a file of its own is copied into the folder.
+        robot: Robot of a new recording; its file is copied into the folder unless it is shipped.
 
     Raises:
         RecordingError: The folder holds something else, or another program writes to it.
@@ -75,15 +75,15 @@ class Journal:
 
     @property
     def streams(self) -> tuple[str, ...]:
-        """Names of the streams that it holds."""
+        """Names of the recorded streams."""
         return tuple(self._kinds)
 
     def write(self, readings: Readings) -> None:
-        """Append readings of one stream, told apart by name.
+        """Append readings to the stream of their name.
 
         Raises:
             SensorError: The sensor declares no kind or another one than the stream, the noise or
-                the mount differs from reading to reading, or the noise is correlated.
+                the mount differs between readings, or the noise is correlated.
         """
         if not readings.kind:
             raise SensorError(
@@ -116,7 +116,7 @@ class Journal:
             self.sync()
 
     def sync(self) -> None:
-        """Wait until all of it is on disk."""
+        """Flush all files to disk and wait until that is done."""
         for file in self._files.values():
             os.fsync(file.fileno())
         self._synced = time.monotonic()
@@ -144,7 +144,7 @@ class Journal:
         self.close()
 
     def _begin(self, readings: Readings, rows: Rows) -> BinaryIO:
-        """The stream's file, described in recording.toml unless it was before."""
+        """Open the stream's file, and describe a new stream in recording.toml."""
         name = file_stem(readings.label, SensorError)
         described = name in self._kinds
         stream = Stream(name, rows, False, *self._stated[readings.label], keep_repeats=True)
@@ -162,9 +162,9 @@ class Journal:
         return file
 
     def _read_description(self) -> dict[str, str]:
-        """Kinds of the streams in recording.toml by name; their noise and mounts become stated.
+        """Kinds of the streams in recording.toml by name; keeps their noise and mounts, too.
 
-        Raises RecordingError for no journal.
+        Raises RecordingError if the recording is not a journal.
         """
         table = read_toml(self._described, RecordingError)
         if not table.flag("journal"):
@@ -186,7 +186,7 @@ class Journal:
 
 
 def _std(readings: Readings) -> Array:
-    """The standard deviations of the stream, which must be alike for all of its readings."""
+    """Standard deviations (rows,) of a reading, which must be the same for the whole stream."""
     cov = readings.cov
     if cov.ndim != 2 or np.any(cov != np.diag(np.diagonal(cov))) or readings.mount.ndim != 2:
         raise SensorError(
@@ -197,14 +197,14 @@ def _std(readings: Readings) -> Array:
 
 
 def _are_alike(stated: Array, given: Array) -> bool:
-    """Whether numbers are those that recording.toml states, which rounds rotations."""
+    """Whether numbers equal those of recording.toml up to the rounding of rotations."""
     return np.allclose(stated, given, rtol=1e-9, atol=1e-12)
 
 
 def _locked(folder: Path) -> int | None:
-    """A lock on a folder that ends with this process, where the system has such locks.
+    """File descriptor of a lock on a folder, released at exit; None if there are no such locks.
 
-    Raises RecordingError where another process has it.
+    Raises RecordingError if another process holds the lock.
     """
     try:
         lock = os.open(folder, os.O_RDONLY)
@@ -224,12 +224,12 @@ def _locked(folder: Path) -> int | None:
 
 
 def _has_rows(path: Path) -> bool:
-    """Whether a stream's file has more than its header."""
+    """Whether a stream's file has rows below its header."""
     return path.exists() and path.read_bytes().count(b"\n") > 1
 
 
 def _cut_unfinished(path: Path) -> None:
-    """Cut a last line that was not written to its end. Raises RecordingError for a link."""
+    """Remove an unfinished last line. Raises RecordingError if the path is not a regular file."""
     if path.is_symlink() or not path.is_file():
         raise RecordingError(f"{path} is no plain file; a journal writes to its own files alone.")
     with path.open("rb+") as file:

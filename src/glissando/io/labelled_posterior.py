@@ -1,4 +1,4 @@
-"""What a posterior says at its nodes, as variables with names, dimensions, units and frames."""
+"""A posterior at its nodes as variables with names, dimensions, units and frames."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def to_xarray(posterior: Posterior) -> xarray.Dataset:
 
 
 def labelled(posterior: Posterior) -> tuple[Variables, Variables, dict[str, Any]]:
-    """Variables, coordinates and attributes of what a posterior says at its nodes."""
+    """Variables, coordinates and attributes of a data set of a posterior at its nodes."""
     dof, six = posterior.state.dof, "component6"
     variables = _states(posterior)
     if isinstance(posterior.prior, MechanicalPrior):
@@ -102,7 +102,10 @@ def _states(posterior: Posterior) -> Variables:
 
 
 def _loads(posterior: Posterior, prior: MechanicalPrior) -> Variables:
-    """Internal wrenches at the nodes and the loads where some are expected, with their places."""
+    """Internal wrenches at the nodes, and external loads at the arclengths where the prior has any.
+
+    Each has means and standard deviations, in N and N m, body frame.
+    """
     time, arclength = posterior.grid.time[:, None], posterior.grid.arclength
     place = load_places(prior, posterior.grid)
     inner, load = posterior.wrench(arclength, time), posterior.load(place, time)

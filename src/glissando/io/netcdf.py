@@ -1,7 +1,8 @@
-"""The posterior as a NetCDF-4 (HDF5) file, with names, units, and all that queries need.
+"""Posteriors in NetCDF-4 (HDF5) files, with names, units, and everything that queries need.
 
-xarray, MATLAB and any HDF5 reader open it. The information matrix is stored, from which the denser
-covariances follow; standard deviations and node covariances are written too, for other programs.
+xarray, MATLAB and any HDF5 reader open them. The block-tridiagonal information matrix is stored,
+and covariances are computed from it on loading; standard deviations and covariances of the nodes
+are written too, for other programs.
 """
 
 from __future__ import annotations
@@ -47,14 +48,14 @@ _DAMAGED = (
     RuntimeError,
     OverflowError,
 )
-_PACKED, _CHUNK = 1 << 16, 1 << 20  # bytes of a variable that is packed, and of what at once
-_SKEW = 1e-6  # by which rotations may fail to be orthogonal
+_PACKED, _CHUNK = 1 << 16, 1 << 20  # bytes above which a variable is compressed, and of a chunk
+_SKEW = 1e-6  # tolerance of the orthogonality of rotations
 _POINTS = [f"linearized_{field}" for field in FIELDS]
 _READ = ("time", "arclength", *FIELDS, *_POINTS, "information", "information_below")
 
 
 def _packages() -> Any:
-    """What reads and writes NetCDF-4, and HDF5 below it."""
+    """The packages h5netcdf and h5py."""
     with needing("Saving and loading posteriors needs h5netcdf and h5py", "netcdf"):
         import h5netcdf
         import h5py
@@ -62,7 +63,7 @@ def _packages() -> Any:
 
 
 def save_posterior(posterior: Posterior, path: str | Path) -> None:
-    """Write everything that `load_posterior` needs to a NetCDF-4 (HDF5) file.
+    """Write a posterior to a NetCDF-4 (HDF5) file, which `load_posterior` reads.
 
     Raises:
         GlissandoError: The file cannot be written, or h5netcdf is not installed.
@@ -89,13 +90,13 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
         attributes["time_span"] = float(posterior.grid.time_spans[0])
     attributes["versions"] = json.dumps(versions())
     attributes["solve"] = json.dumps(posterior.solve.to_table())
-    image = _image({**coordinates, **variables}, attributes)  # HDF5 dies of a full disk
+    image = _image({**coordinates, **variables}, attributes)  # HDF5 aborts on a full disk
     with new_file(path) as building:
         building.write_bytes(image)
 
 
 def _image(variables: Variables, attributes: dict[str, Any]) -> bytes:
-    """The bytes of a NetCDF-4 file of variables and attributes."""
+    """Bytes of a NetCDF-4 file with these variables and attributes."""
     image, (h5netcdf, h5py) = io.BytesIO(), _packages()
     with h5netcdf.File(image, "w") as file:
         for name, (dimensions, values, about) in variables.items():
@@ -114,7 +115,7 @@ def _image(variables: Variables, attributes: dict[str, Any]) -> bytes:
 
 
 def _linearization(posterior: Posterior) -> Variables:
-    """The states (2, K, N) at which a posterior was linearised and weighted."""
+    """States (2, K, N): the linearisation point, and the state at which noise was evaluated."""
     variables: Variables = {}
     for name, key in zip(FIELDS, _POINTS, strict=True):
         each = [getattr(state, name) for state in posterior.linearized or ()]
@@ -129,7 +130,8 @@ def load_posterior(path: str | Path) -> Posterior:
     """Read a posterior; covariances are computed again from its information matrix.
 
     Raises:
-        GlissandoError: The file cannot be read, is no posterior, or announces more than it holds.
+        GlissandoError: The file cannot be read, is not a posterior, or declares more data than a
+            file of its size can hold.
     """
     require_kind(path, (str, PathLike), "posterior to load", "give the path of its file")
     path = Path(path)
@@ -155,7 +157,7 @@ def load_posterior(path: str | Path) -> Posterior:
 
 
 def _posterior(arrays: dict[str, Array], attributes: dict[str, Any], name: str) -> Posterior:
-    """The posterior that a file's arrays and attributes are."""
+    """Posterior of the arrays and attributes of a file."""
     parameters = attributes.get("sensor_parameters") or attributes.get("unknowns", "[]")
     prior = _as_prior(json.loads(attributes["prior"]), name)
     before = attributes.get("time_before")
@@ -182,7 +184,7 @@ def _posterior(arrays: dict[str, Array], attributes: dict[str, Any], name: str) 
 
 
 def _numbers(arrays: dict[str, Array], name: str) -> Array:
-    """A variable's numbers. Raises ValueError unless they are finite."""
+    """Values of a variable. Raises ValueError unless they are finite."""
     values = np.asarray(arrays[name], dtype=float)
     if not np.all(np.isfinite(values)):
         raise ValueError(f"{name} is not finite")
@@ -195,7 +197,7 @@ def _require_whole(
     system: BlockTridiagonal,
     estimated: Sequence[tuple[SensorParameter, Array]],
 ) -> None:
-    """Raise ValueError unless shapes fit each other and poses are rigid motions."""
+    """Raise ValueError unless the shapes are consistent and poses are rigid motions."""
     k, n = grid.shape
     size = sum(parameter.size for parameter, _ in estimated)
     each = n * state.dof + size
@@ -212,7 +214,7 @@ def _require_whole(
 
 
 def _plain(table: dict[str, Any]) -> dict[str, Any]:
-    """The table with arrays as lists, and None for infinity, which JSON lacks."""
+    """Copy of a table for JSON: arrays become lists, and infinity None."""
     plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in table.items()}
     return {k: None if v == np.inf else v for k, v in plain.items()}
 
@@ -225,7 +227,7 @@ def _as_sensor_parameter(table: dict[str, Any]) -> tuple[SensorParameter, Array]
 
 
 def _as_prior(document: dict[str, Any], where: str) -> Prior:
-    """The prior of a document in the form of a robot file."""
+    """Prior of a document in the form of a robot file."""
     if "prior" not in document:
         return _prior_of_fields(document)
     table = Table(document, where, GlissandoError)
@@ -234,7 +236,7 @@ def _as_prior(document: dict[str, Any], where: str) -> Prior:
 
 
 def _prior_of_fields(fields: dict[str, Any]) -> Prior:
-    """The prior of a posterior that stores its fields, as all did before priors wrote tables."""
+    """Prior of an older file, which stores the fields of the prior's class."""
     kind = fields.pop("kind")
     arrays = {k: np.array(v) if isinstance(v, list) else v for k, v in fields.items()}
     if fields.get("base"):

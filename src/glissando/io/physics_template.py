@@ -1,4 +1,4 @@
-"""The [physics] of a robot of which little is known, so that it can be simulated."""
+"""A [physics] table for a robot of which little is known, so that it can be simulated."""
 
 from __future__ import annotations
 
@@ -8,23 +8,24 @@ from glissando.errors import RobotFileError
 from glissando.io.robot_template import RobotOutline
 
 _YOUNG, _DENSITY = 60e9, 6450.0  # Pa and kg/m³, of nitinol
-_TENDON, _BORE = 5.0 / 12.0, 0.9  # tendons' places in diameters, inner by outer diameter of a tube
-_SLENDER = 300.0  # lengths of the robot by the diameter of its backbone, about
-_BENT = math.radians(150.0)  # of the whole robot in its shapes
-_FOUR = [(1, 0), (0, 1), (-1, 0), (0, -1)]  # tendons of a segment
+_TENDON, _BORE = 5.0 / 12.0, 0.9  # of the robot's diameter, of a tube's outer diameter
+_SLENDER = 300.0  # typical ratio of the robot's length to the diameter of its backbone
+_BENT = math.radians(150.0)  # largest bend of the whole robot in its shapes, rad
+_FOUR = [(1, 0), (0, 1), (-1, 0), (0, -1)]  # directions of a segment's tendons
 
 
 def physics_text(outline: RobotOutline) -> str:
-    """The text of a [physics] table: a hanging nitinol robot with four tendons a segment.
+    """Text of a [physics] table: a hanging nitinol robot with four tendons a segment.
 
-    Its backbone is as thick as robots of that length and diameter have it; the tensions of its
-    shapes bend each segment by half of the most that it can, or the whole robot by 150 degrees.
+    The backbone has a typical thickness for the robot's length and diameter. The tensions of the
+    shapes bend a segment by half of its largest bend, or the whole robot by 150 degrees if that is
+    less.
 
     Args:
-        outline: What is known of the robot.
+        outline: Known properties of the robot.
 
     Raises:
-        RobotFileError: It has no coil, which is what slides in a simulation.
+        RobotFileError: The robot has no coil, the sensor that slides in a simulation.
     """
     if not any(kind == "coil" for kind, _ in outline.streams):
         raise RobotFileError(
@@ -59,12 +60,12 @@ def physics_text(outline: RobotOutline) -> str:
 
 
 def _shares(length: float, count: int) -> list[float]:
-    """The ends of equal parts of a length, m, the last of them exactly."""
+    """End points, m, of `count` equal parts of a length; the last is the length itself."""
     return [round(length * i / count, 9) for i in range(1, count)] + [length]
 
 
 def _shapes(segments: int, tension: float) -> str:
-    """Shapes with names, by the tensions of the tendons, of which each segment has four."""
+    """Tables of named shapes: tensions, N, of the tendons, of which each segment has four."""
     straight, bent, twice = ([0.0] * 4 * segments for _ in range(3))
     bent[-4] = twice[-4] = float(f"{tension:.3g}")
     out = [f"straight]\ntensions = {straight}", f"C]\ntensions = {bent}"]

@@ -1,4 +1,4 @@
-"""Files and names of others: plain files of a size that memory holds, names that are no paths."""
+"""Checks of files and names from other sources: regular files of limited size, safe names."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _MEMORY = 1 << 34  # bytes that a machine is taken to have if it does not say
 
 
 def largest_unpacked(size: int) -> int:
-    """Bytes that a compressed file of a size in bytes may unpack to.
+    """Largest unpacked size, bytes, that is accepted of a compressed file of a size in bytes.
 
-    What was measured hardly packs; a file that holds more was made to fill the memory.
+    Measured data compress little; a file that unpacks to more was made to exhaust the memory.
     """
     return max(_PACKED * size, _LEAST)
 
 
 def largest_deflated(size: int) -> int:
-    """Bytes that a file of a size in bytes may hold by deflate, none more than the memory has.
+    """Largest unpacked size, bytes, of a deflated file of a size in bytes, at most the memory.
 
-    What was computed may pack well: the matrices of fine grids are zero in most places.
+    Computed data may compress well: the matrices of fine grids are mostly zero.
     """
     try:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -38,11 +38,11 @@ def largest_deflated(size: int) -> int:
 
 
 def require_plain(path: Path, most: int = _MOST) -> None:
-    """Raise OSError unless a path is a file with an end: no pipe, no device, no folder.
+    """Raise OSError unless a path is a regular file: not a pipe, a device or a folder.
 
     Args:
-        path: The path, whose name may be anything that a file of others holds.
-        most: Bytes that it may have.
+        path: The path, which may be invalid, as a name read from another file.
+        most: Largest accepted size, bytes.
     """
     try:
         status = path.stat()
@@ -57,15 +57,15 @@ def require_plain(path: Path, most: int = _MOST) -> None:
 
 
 def plain_text(path: Path, *, otherwise: str = "") -> str:
-    """The text of a plain file in UTF-8, or in UTF-16 where its mark says so.
+    """Read the text of a regular file in UTF-8, or in UTF-16 with a byte order mark.
 
     Args:
         path: The file.
-        otherwise: Encoding of text that is no UTF-8; bytes it does not know are replaced.
+        otherwise: Encoding of text that is not UTF-8; undefined bytes are replaced.
 
     Raises:
-        OSError: It is no plain file, or cannot be read.
-        UnicodeDecodeError: It is no UTF-8, and there is no other encoding.
+        OSError: The path is not a regular file, or cannot be read.
+        UnicodeDecodeError: The text is not UTF-8, and no other encoding is given.
     """
     require_plain(path)
     content = path.read_bytes()
@@ -80,14 +80,15 @@ def plain_text(path: Path, *, otherwise: str = "") -> str:
 
 
 def file_stem(name: str, error: type[GlissandoError] = GlissandoError) -> str:
-    """A name that somebody else gave, if it may be a file's name before its suffix.
+    """Check that a name from another source is safe as the stem of a file name, and return it.
 
     Args:
-        name: The name of a stream, a coil, a body.
+        name: Name of a stream, a coil or a body.
         error: Class of the error to raise otherwise.
 
     Raises:
-        GlissandoError: It is empty or hidden, leads elsewhere, cannot be printed, or is too long.
+        GlissandoError: The name is empty, begins with a point, contains a path separator, cannot
+            be printed, or is too long.
 
     >>> file_stem("mocap_700")
     'mocap_700'

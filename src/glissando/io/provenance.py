@@ -1,4 +1,4 @@
-"""What files state of themselves: the version of their format, and what computed them."""
+"""Provenance in files: the version of their format, and of the programs that wrote them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from glissando.errors import GlissandoError
 from glissando.io.atomic import write_text
 
 FORMATS = {"posterior": 2, "recording": 1, "session": 1, "robot": 1, "calibration": 1}
-"""Version of each format that is written; those before it are read, too (docs/formats.md)."""
+"""Version in which each format is written; earlier versions are read, too (docs/formats.md)."""
 
 
 def stated_format(kind: str) -> str:
-    """The words by which a file states its format.
+    """Text by which a file states its format.
 
     >>> stated_format("recording")
     'glissando recording 1'
@@ -35,13 +35,13 @@ def require_readable(
     """Require that a file is of a format that this version reads.
 
     Args:
-        stated: What the file states; None counts as the first version of its format.
+        stated: Format stated in the file; None or empty means this version's.
         kind: Kind of file, a key of FORMATS.
         where: The file, for the message.
         error: Class of the error.
 
     Raises:
-        GlissandoError: It is of another kind, or of a version to come.
+        GlissandoError: The file is of another kind, or was written by a later version.
     """
     match = re.fullmatch(rf"glissando {kind} ([1-9]\d{{0,3}})", str(stated or stated_format(kind)))
     if match is None:
@@ -58,7 +58,7 @@ def require_readable(
 
 @cache
 def versions() -> dict[str, str]:
-    """Versions of all that numbers depend on, as results state them.
+    """Versions of the programs on which numerical results depend.
 
     >>> list(versions())
     ['python', 'glissando', 'numpy', 'scipy', 'numba']
@@ -71,7 +71,7 @@ def versions() -> dict[str, str]:
 
 
 def made_by() -> str:
-    """The program and its version, as text files state it."""
+    """Name and version of this program, as stated in text files."""
     return f"glissando {__version__}"
 
 
@@ -80,16 +80,16 @@ def write_report(path: Path, document: Mapping[str, Any]) -> None:
 
     Args:
         path: The file to write.
-        document: What JSON can hold.
+        document: Results, of types that JSON has.
 
     Raises:
-        GlissandoError: The disk refused.
+        GlissandoError: The file cannot be written.
     """
     write_text(path, json.dumps({**document, "versions": versions()}, indent=2) + "\n")
 
 
 def digests(files: Iterable[Path]) -> dict[str, str]:
-    """SHA-256 of each file's bytes, by its name.
+    """SHA-256 digests of files, by file name.
 
     Raises:
         GlissandoError: A file cannot be read.

@@ -34,10 +34,10 @@ def read_query(path: Path) -> tuple[Array, Array, list[int]]:
         path: The CSV file; other columns are ignored.
 
     Returns:
-        Times (M,) in seconds, arclengths (M,) in metres, and the lines of the file.
+        Times (M,) in seconds, arclengths (M,) in metres, and the line number of each point.
 
     Raises:
-        GlissandoError: If the file cannot be read, or a row is not two finite numbers.
+        GlissandoError: The file cannot be read, or a time or an arclength is not a finite number.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
@@ -71,13 +71,13 @@ def write_query(
     """Write the estimate at query points as CSV.
 
     Args:
-        posterior: The estimate.
+        posterior: Posterior to evaluate.
         query: Times (M,) in seconds and arclengths (M,) in metres.
-        path: File to write; its folder is made if it is missing.
+        path: File to write; its folder is created if it is missing.
         loads: Whether to add the internal wrench, in the columns LOAD_COLUMNS.
 
     Raises:
-        GlissandoError: Loads are asked for and the robot's prior knows none.
+        GlissandoError: `loads` is true and the robot's prior has no mechanics.
     """
     time, arclength = query
     wrench = posterior.wrench(arclength, time) if loads else None
@@ -91,9 +91,9 @@ def write_states(
     """Write estimates one after another as CSV with the columns QUERY_COLUMNS.
 
     Args:
-        states: Times (M,) s, arclengths (M,) m and the estimates there.
+        states: Batches of times (M,), s, arclengths (M,), m, and the estimates there.
         path: File to write.
-        loads: Columns LOAD_COLUMNS (rows, 12) to add.
+        loads: Values (rows, 12) of the columns LOAD_COLUMNS; None to leave these out.
     """
     rows = [state_rows(*each) for each in states]
     table, names = np.concatenate(rows), QUERY_COLUMNS
@@ -108,7 +108,7 @@ def state_rows(time: Array, arclength: Array, at: StateEstimate) -> Array:
     Args:
         time: Times (M,), s.
         arclength: Arclengths (M,), m.
-        at: Estimates (M,) there.
+        at: Estimates at these M points.
     """
     columns = [time[:, None], arclength[:, None], at.position, at.quaternion, at.strain]
     return np.hstack([*columns, at.velocity, at.cov[:, :6, :6].reshape(len(time), 36)])

@@ -1,4 +1,4 @@
-"""Recordings: streams of rows, the robot, and which of them count."""
+"""Recordings: streams of rows, their robot, and the choice of streams to use and to judge by."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ class Recording(ShortRepr):
 
     Attributes:
         name: Name of the recording.
-        folder: The folder it was read from.
-        streams: Streams by name, in the world frame and SI units.
-        robot: The robot, where the recording names it.
-        window: First and last time (s) to estimate, where the recording states them.
-        frames: Poses T_wf (4, 4) of the frames that streams came in, by stream; the world's
-            streams are not there.
-        allow: Names of checks of plausibility that are switched off.
-        unknown_frames: Frames whose place in the world is not known; their streams stay in them.
+        folder: Folder from which it was read.
+        streams: Streams by name, in SI units and, unless their frame is unknown, the world frame.
+        robot: Robot that the recording names; None if it names none.
+        window: First and last time, s, to estimate; None for the whole recording.
+        frames: Poses T_wf (4, 4) of the frames in which streams were recorded, by stream; absent
+            for streams recorded in the world frame.
+        allow: Names of plausibility checks that are switched off.
+        unknown_frames: Frames whose pose in the world is unknown; their streams stay in them.
     """
 
     name: str
@@ -52,9 +52,9 @@ class Recording(ShortRepr):
         """A recording of streams in the world frame, such as those of a simulated session.
 
         Args:
-            streams: The streams.
-            name: What it is called in messages.
-            robot: The robot they are of.
+            streams: Streams in the world frame.
+            name: Name of the recording, in messages.
+            robot: Robot to which the sensors are attached.
         """
         return Recording(name, Path(name), {stream.name: stream for stream in streams}, robot, None)
 
@@ -70,17 +70,19 @@ class Recording(ShortRepr):
 
         Args:
             names: Names of streams.
-            robot: Robot that states the noise of streams that do not.
-            window: First and last time, s.
-            as_truth: Whether estimates are judged by them; a truth stream without noise then counts
+            robot: Robot whose file gives the noise of streams that state none.
+            window: First and last time, s; both the stamp and the time corrected by known delays
+                of `robot` must lie inside.
+            as_truth: Whether the streams are ground truth; a truth stream without noise then counts
                 as exact, while as a sensor it needs noise like any other.
 
         Returns:
             Readings of each stream, and the counts of dropped rows by stream and reason.
 
         Raises:
-            RecordingError: A name is unknown, the window is none, a stream has no noise, an
-                arclength is off the robot, or nothing says where the stream's frame is.
+            RecordingError: A name is unknown, the window is invalid, a stream has no noise, an
+                arclength is off the robot, or the pose of a stream's frame is unknown and not
+                among the robot's sensor parameters.
         """
         _require_choice(names, robot, window)
         out, dropped = [], {}
@@ -105,7 +107,7 @@ class Recording(ShortRepr):
         """The stream of a name.
 
         Raises:
-            RecordingError: There is none.
+            RecordingError: The recording has no such stream.
         """
         if name not in self.streams:
             raise RecordingError(
@@ -127,10 +129,17 @@ class Recording(ShortRepr):
     def choose(
         self, use: Sequence[str] | None, truth: Sequence[str] | None
     ) -> tuple[list[str], list[str]]:
-        """Names of the streams to use and to judge by; by default as the recording marks them.
+        """Choose the streams to use and the truth streams; by default as the recording marks them.
+
+        Args:
+            use: Names of streams to use; None for all that are not truth.
+            truth: Names of truth streams; None for those that the recording marks.
+
+        Returns:
+            Names of the streams to use, and of the truth streams.
 
         Raises:
-            RecordingError: A stream is both, or its kind cannot be truth.
+            RecordingError: A stream is in both, or its kind cannot be truth.
         """
         marked = [s.name for s in self.streams.values() if s.truth]
         chosen_truth = marked if truth is None else list(dict.fromkeys(truth))
@@ -152,10 +161,10 @@ class Recording(ShortRepr):
         return list(dict.fromkeys(use)), chosen_truth
 
     def span(self, names: Sequence[str] = ()) -> tuple[float, float]:
-        """First and last time of any of these streams, of all unless given, seconds.
+        """First and last time, s, of the named streams together, by default of all.
 
         Raises:
-            RecordingError: They have no rows, as those of a journal whose sources were silent.
+            RecordingError: The streams have no rows, as in a journal without any readings.
         """
         times = [self.streams[name].rows.time for name in names or self.streams]
         times = [time for time in times if time.size]
@@ -168,7 +177,7 @@ class Recording(ShortRepr):
 
 
 def _require_choice(names: Sequence[str], robot: Robot, window: tuple[float, float]) -> None:
-    """Raise RecordingError for a name in place of names, a robot's name, or no window."""
+    """Raise RecordingError for a text as `names`, a `robot` not loaded, or an invalid window."""
     if isinstance(names, str):
         raise RecordingError(f"The streams are {names!r}; give a list of names, [{names!r}].")
     if not isinstance(robot, Robot):

@@ -1,4 +1,4 @@
-"""Recordings read and written: a folder with a CSV a stream, one of the public layout, or a log."""
+"""Reading and writing recordings: folders with a CSV a stream, public data, session logs."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from glissando.model.table import Table
 
 
 def load_recording(folder: str | Path) -> Recording:
-    """Read a recording folder, or the log of a session, also of one that was killed.
+    """Read a recording folder, or the log of a session, which may have been cut off.
 
     Raises:
-        RecordingError: Something is wrong in it, with the file, the line and what to do.
+        RecordingError: The recording is invalid; the message names the file, the line and a remedy.
     """
     if not isinstance(folder, str | PathLike):
         raise RecordingError(f"load_recording was given {folder!r}; give a recording's folder.")
@@ -60,7 +60,7 @@ def load_recording(folder: str | Path) -> Recording:
 
 
 def _of_log(path: Path) -> Recording:
-    """The recording that a session log holds, also one that was killed."""
+    """Recording of a session log, which may have been cut off."""
     session = read_session(path)
     require_readable(session.metadata.get("format"), "session", path, RecordingError)
     logged = session_streams(session, session_setup(session), path.parent)
@@ -82,16 +82,16 @@ def save_recording(
     robot: str | Path = "",
     calibration: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> None:
-    """Write streams as they are, in the world frame, into a new folder that is a recording.
+    """Write a recording into a new folder, with its streams in their present frames.
 
     Args:
         recording: Recording to write.
-        folder: Folder to make.
-        robot: Text that names the robot, or a robot file, which is copied into the folder.
-        calibration: Value, std and unit of each constant that was found and applied.
+        folder: Folder to create.
+        robot: Name of a robot, or path of a robot file, which is copied into the folder.
+        calibration: Value, std and unit of each calibrated constant applied to the streams.
 
     Raises:
-        RecordingError: The folder holds something.
+        RecordingError: The folder exists and is not empty.
     """
     with new_folder(folder, RecordingError) as building:
         write_streams(
@@ -107,7 +107,7 @@ def save_recording(
 
 
 def _fitting_robot(streams: dict[str, Stream]) -> Robot | None:
-    """The shipped robot whose tip is where the last sensor of a public recording sits."""
+    """The shipped robot as long as the largest arclength of a public recording, or None."""
     reach = max(float(s.rows.arclength.max()) for s in streams.values())
     robots = [load_robot(name) for name in shipped_robots()]
     return next((r for r in robots if abs(r.length - reach) < 1e-6), None)

@@ -1,4 +1,4 @@
-"""Recording folders as everyone writes them: one CSV a stream and a recording.toml."""
+"""Writing recording folders: one CSV a stream and a recording.toml."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ def write_streams(
     calibration: Mapping[str, Mapping[str, Any]] | None = None,
     **more: Any,
 ) -> None:
-    """Write a recording into a folder that exists, such as one of `new_folder`.
+    """Write a recording into an existing folder, such as one of `new_folder`.
 
     Args:
         building: Folder to write into.
         name: Name of the recording.
-        streams: Streams, rows in the frames they name.
-        robot: Text that names the robot, or a robot file, which is copied into the folder.
-        frames: Pose (4, 4) in the world of each frame that a stream names; None if not known.
-        calibration: Value, std and unit of each constant that was found and applied.
-        **more: Further fields of the recording.
+        streams: Streams, each with rows in the frame that it names.
+        robot: Name of a robot, or path of a robot file, which is copied into the folder.
+        frames: Pose T_wf (4, 4) of each frame that a stream names; None if unknown.
+        calibration: Value, std and unit of each calibrated constant applied to the streams.
+        **more: Further fields of recording.toml.
 
     Raises:
-        RecordingError: The name of a stream cannot be that of a file.
+        RecordingError: The name of a stream is not usable as a file name.
     """
     if isinstance(robot, Path):
         shutil.copy(robot, building / ROBOT)
@@ -76,7 +76,10 @@ _UNKNOWN = (
 
 
 def named_in(folder: Path, robot: Path) -> str:
-    """How a recording names a robot's file: a shipped one by name, another by a copy beside it."""
+    """Name for a recording's robot: that of a shipped robot, else a copy of its file in `folder`.
+
+    A robot file that is not shipped is copied to `folder` here.
+    """
     if robot.stem in shipped_robots() and robot.samefile(robot_file(robot.stem)):
         return robot.stem
     write_text(folder / ROBOT, robot.read_text(encoding="utf-8"))
@@ -84,13 +87,13 @@ def named_in(folder: Path, robot: Path) -> str:
 
 
 def describe_recording(name: str, robot: str = "", **more: Any) -> str:
-    """The first lines of a recording.toml: format, name, robot, and any `more` fields."""
+    """First lines of a recording.toml: format, program, name, robot, and any `more` fields."""
     stated = {"format": stated_format("recording"), "made_by": made_by()}
     return _fields({**stated, "name": name, **({"robot": robot} if robot else {}), **more})
 
 
 def describe_stream(stream: Stream) -> str:
-    """The lines of a recording.toml on one stream.
+    """Lines of a recording.toml that describe one stream.
 
     >>> from glissando.io.csv_stream import Rows
     >>> gyro = Rows("gyro", np.zeros(1), np.zeros(1), np.zeros((1, 3)), {})
@@ -120,7 +123,7 @@ def _fields(fields: Mapping[str, Any]) -> str:
 
 
 def _key(name: str) -> str:
-    """A key in TOML, bare where it may be."""
+    """A key in TOML, without quotes where TOML allows it."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _value(name)
 
 

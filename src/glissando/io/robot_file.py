@@ -1,4 +1,4 @@
-"""Robot files: length, rest strain, base, grid, prior and sensor noise, as validated TOML."""
+"""Reading and checking robot files: length, rest strain, base, grid, prior, sensor noise (TOML)."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ OLD_KINDS = {
     "slide": "arclength_offset",
     "delay": "time_offset",
 }
-"""Kinds of priors and of sensor parameters by the names of files of before."""
-_VAGUE = 0.5  # of its length: positions known less well are in another unit
-_NODES = 10_000  # along a robot: more is another unit
+"""Present kinds of priors and of sensor parameters by their names in older files."""
+_VAGUE = 0.5  # of the length: a std of positions above it must be in another unit
+_NODES = 10_000  # most nodes along a robot: more must be a mistake of units
 LOSSES: dict[str, type[Huber] | type[GemanMcClure]] = {
     "huber": Huber,
     "geman-mcclure": GemanMcClure,
 }
-"""Robust losses by the names that files give them."""
+"""Robust losses by their names in robot files."""
 
 
 def load_robot(name: str | Path) -> Robot:
-    """A robot by the name of a shipped one or by the path of a robot file.
+    """Load a shipped robot by its name, or any robot by the path of its file.
 
     Raises:
-        RobotFileError: Something is wrong in the file, which is named.
+        RobotFileError: There is no such robot, or its file is invalid; the message names the file.
 
     >>> load_robot("tdcr466").length
     0.466
@@ -67,7 +67,7 @@ def load_robot(name: str | Path) -> Robot:
 
 
 def _require_metres(robot: Robot) -> None:
-    """Raise RobotFileError where deviations of a tracker's positions are in millimetres."""
+    """Raise RobotFileError if a tracker's std of positions is too large to be in metres."""
     for kind, std in robot.sensor_std.items():
         sensor = sensor_class(kind)
         reads_places = sensor.tracker and sensor.value_shape != (3, 3)
@@ -79,13 +79,13 @@ def _require_metres(robot: Robot) -> None:
 
 
 def read_robot_document(path: Path) -> dict[str, Any]:
-    """A robot file as TOML gives it, with the names of today in the place of old ones.
+    """Read a robot file as a TOML document, in which old names are replaced by present ones.
 
     Warns:
-        OldNameWarning: It uses names of before.
+        OldNameWarning: The file uses old names.
 
     Raises:
-        RobotFileError: It cannot be read or parsed.
+        RobotFileError: The file cannot be read or parsed.
     """
     document, renamed = read_document(path, RobotFileError), []
     require_readable(document.get("format"), "robot", path, RobotFileError)
@@ -105,10 +105,10 @@ def read_robot_document(path: Path) -> dict[str, Any]:
 
 
 def parse_robot(table: Table) -> Robot:
-    """The robot a table describes.
+    """Robot described by the table of a robot file.
 
     Raises:
-        RobotFileError: Something is wrong in it, with its key.
+        RobotFileError: An entry is missing, unknown or invalid; the message names its key.
     """
     name = table.text("name", Path(table.where).stem)
     length = table.number("length")
@@ -134,7 +134,7 @@ def parse_robot(table: Table) -> Robot:
     )
     tube, tendons = _tube(table.table("tube")), read_tendons(table, length, mechanics)
     table.skip("format")
-    table.skip("physics")  # of the simulator, which checks it
+    table.skip("physics")  # read and checked by the simulator
     table.close()
     beside = (mechanics, tube, tendons)
     return Robot(
@@ -143,7 +143,7 @@ def parse_robot(table: Table) -> Robot:
 
 
 def _tube(table: Table | None) -> Tube | None:
-    """What [tube] says, if it is there."""
+    """Conformal tube of the table [tube]; None without one."""
     if table is None:
         return None
     level, sigmas = table.number("level"), table.number("sigmas")
@@ -157,11 +157,11 @@ def _tube(table: Table | None) -> Tube | None:
 
 
 def with_tube(text: str, tube: Tube) -> str:
-    """The text of a robot file with another [tube], all else as it was.
+    """Text of a robot file with its [tube] replaced, or added; all else stays unchanged.
 
     Args:
-        text: The robot file.
-        tube: The tube to write.
+        text: Text of the robot file.
+        tube: Tube to write.
     """
     table = r"^\[tube\][^\n]*\n((?:(?!\[)[^\n]*(?:\n|\Z))*)"
     keys = re.compile(r"^[ \t]*\w+[ \t]*=[^\n]*(?:\n|\Z)", re.MULTILINE)
@@ -171,7 +171,7 @@ def with_tube(text: str, tube: Tube) -> str:
 
 
 def _grid(table: Table, length: float) -> tuple[Array, float, bool]:
-    """Arclength nodes, time nodes a second, and whether readings get time nodes of their own."""
+    """Arclength nodes (N,), m, time nodes a second, and whether readings add time nodes."""
     grid = table.subtable("grid")
     rate, at_readings = grid.number("time_rate"), grid.flag("nodes_at_readings")
     if isinstance(grid.peek("arclength_nodes"), list):
@@ -195,7 +195,7 @@ def _grid(table: Table, length: float) -> tuple[Array, float, bool]:
 
 
 def _prior(table: Table) -> Prior:
-    """The prior of the kind that its table names."""
+    """Prior described by the table [prior], of the kind named there."""
     entries = table.subtable("prior")
     prior = prior_class(entries.kind(prior_kinds())).from_table(entries, table)
     entries.close()
@@ -203,7 +203,7 @@ def _prior(table: Table) -> Prior:
 
 
 def _sensor_parameter(table: Table) -> SensorParameter:
-    """One of [[sensor_parameters]]; without a std its value is known."""
+    """Sensor parameter of an entry of [[sensor_parameters]]; without a std its value is known."""
     name, kind = table.text("name"), table.text("kind", choices=SIZES)
     size = SIZES[kind]
     value = table.vector("value", size, np.zeros(size), pairs=False)

@@ -1,4 +1,4 @@
-"""A robot file for a robot of which little is known: broad numbers from a few physical ones."""
+"""Robot files for robots of which little is known: a broad prior from a few physical numbers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _JUMPS = """\
 # How differently segments bend. Where they often bend as far as they can in directions of their own
 # and only the tip is read, give four times as much: else half of them are inside 95 % there."""
 
-_LIKELY = {  # least and largest value that is likely, and their unit
+_LIKELY = {  # smallest and largest plausible value, and their unit
     "length": (0.02, 5.0, "m"),
     "diameter": (2e-4, 0.2, "m"),
     "bend": (math.radians(5.0), 4.0 * math.pi, "rad"),
@@ -37,16 +37,16 @@ _NOISE = {  # standard deviations of common devices, broad
 
 @dataclass(frozen=True)
 class RobotOutline:
-    """What is known of a robot before anything was learned of it.
+    """Known properties of a robot before anything was learned from recordings.
 
     Attributes:
-        name: Its name.
+        name: Name of the robot.
         length: Length, m.
-        segments: Segments of equal length, each driven on its own.
+        segments: Number of segments of equal length, each actuated independently.
         diameter: Outer diameter of the discs or of the body, m.
         bend: Largest bend of one segment, rad.
-        stretch: Largest extension or slip of discs along the backbone, a share of the length.
-        time_scale: Seconds in which the shape can change altogether.
+        stretch: Largest extension or slip of discs along the backbone, as a share of the length.
+        time_scale: Time, s, in which the shape can change completely.
         sensors: Kinds of sensor, or KIND:STREAM for a stream of a recording.
     """
 
@@ -91,13 +91,13 @@ class RobotOutline:
 
 
 def _quantity(value: float, unit: str) -> str:
-    """A number with its unit; angles are asked for in degrees, too."""
+    """A number with its unit; an angle also in degrees."""
     degrees = f" ({math.degrees(value):.3g} degrees)" if unit == "rad" else ""
     return f"{value:.4g} {unit}{degrees}"
 
 
 def _require_streams(streams: Sequence[str]) -> None:
-    """Raise RobotFileError for no sensor, or for a stream that two sensors claim."""
+    """Raise RobotFileError if there is no sensor, or if two sensors have the same stream."""
     if not streams:
         raise RobotFileError("A robot without sensors cannot be estimated; give one or more.")
     named = [file_stem(stream, RobotFileError) for stream in streams if stream]
@@ -106,14 +106,14 @@ def _require_streams(streams: Sequence[str]) -> None:
 
 
 def robot_text(outline: RobotOutline) -> str:
-    """The text of a robot file with broad numbers, each with the reason for it.
+    """Text of a robot file with a broad prior, with comments that give reasons.
 
-    Curvature at the base, and its jump between segments, is as uncertain as if the largest bend of
-    a segment were two standard deviations; inside a segment it varies by three tenths of that. A
-    broad prior costs little where sensors are, and keeps confidence true where they are not.
+    For the curvature at the base, and for its jump between segments, the largest bend of a segment
+    is two standard deviations; within a segment the curvature varies by three tenths of that. A
+    broad prior costs little accuracy near sensors, and keeps covariances consistent elsewhere.
 
     Args:
-        outline: What is known of the robot.
+        outline: Known properties of the robot.
     """
     piece = outline.length / outline.segments
     bending = (outline.bend / (2.0 * piece)) ** 2
@@ -145,7 +145,7 @@ def robot_text(outline: RobotOutline) -> str:
 
 
 def _sensors(outline: RobotOutline) -> str:
-    """The tables of noise, one a kind."""
+    """Tables of the sensors' noise, one for each kind."""
     out = []
     for kind in dict.fromkeys(kind for kind, _ in outline.streams):
         robust = "" if sensor_class(kind).rows == 1 else 'loss = "huber"\n'
@@ -154,7 +154,7 @@ def _sensors(outline: RobotOutline) -> str:
 
 
 def _parameters(outline: RobotOutline) -> str:
-    """What is unknown of each stream: where it sits, its drift, how late its clock is."""
+    """Entries of unknown sensor parameters by stream: delay, and a tracker's mount and drift."""
     where = 0.1 * outline.diameter + 1e-3
     out = [_REPEATED if any(stream for _, stream in outline.streams) else _UNNAMED]
     for kind, stream in outline.streams:
@@ -172,7 +172,7 @@ def _parameters(outline: RobotOutline) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A text as TOML writes it."""
+    """A text quoted for TOML."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 

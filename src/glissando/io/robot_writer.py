@@ -1,4 +1,4 @@
-"""Robots as robot files, which `load_robot` reads."""
+"""Writing robot files, which `load_robot` reads."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from glissando.model.sensors.parameters import SensorParameter
 def save_robot(robot: Robot, path: str | Path) -> None:
     """Write a robot to a TOML file that `load_robot` and every command read.
 
-    What a file says to the simulator alone, [physics], is no part of a robot and is not written.
+    The table [physics] of a file, which only the simulator reads, is not part of a robot and is
+    not written.
 
     Args:
-        robot: The robot.
-        path: The file to write, whole or not at all.
+        robot: Robot to write.
+        path: File to write, whole or not at all.
 
     Raises:
-        RobotFileError: A robot file cannot say what the robot is.
-        GlissandoError: The disk refused.
+        RobotFileError: The robot has a property that a robot file cannot express.
+        GlissandoError: The file cannot be written.
     """
     require_kind(robot, Robot, "robot", "give the robot, and then the file")
     require_kind(path, (str, Path), "robot file to write", "give its path")
@@ -37,13 +38,13 @@ def save_robot(robot: Robot, path: str | Path) -> None:
 
 
 def robot_document(robot: Robot) -> dict[str, Any]:
-    """What a robot file says of a robot, as TOML holds it.
+    """Content of a robot's file, as a TOML document.
 
     Args:
-        robot: The robot.
+        robot: Robot to describe.
 
     Raises:
-        RobotFileError: A robot file cannot say what the robot is.
+        RobotFileError: The robot has a property that a robot file cannot express.
     """
     document = {
         "format": stated_format("robot"),
@@ -68,7 +69,7 @@ def robot_document(robot: Robot) -> dict[str, Any]:
 
 
 def _sensors(robot: Robot) -> dict[str, dict[str, Any]]:
-    """What [sensors] says of every kind."""
+    """Tables of [sensors] by kind: std, clip, rate and loss."""
     tables: dict[str, dict[str, Any]] = {
         kind: {"std": _listed(std)} for kind, std in robot.sensor_std.items()
     }
@@ -88,7 +89,7 @@ def _sensors(robot: Robot) -> dict[str, dict[str, Any]]:
 
 
 def _own(robot: Robot, tables: dict[str, dict[str, Any]], kind: str, key: str) -> dict[str, Any]:
-    """The table of a kind of sensor that has such a key."""
+    """Table of a kind of sensor to which a key is added; the kind must have a std."""
     if kind not in tables:
         raise RobotFileError(
             f"Robot {robot.name}: sensors of kind {kind!r} have a {key} and no standard deviation; "

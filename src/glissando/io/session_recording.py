@@ -1,4 +1,4 @@
-"""A session log as a recording: a coil's arclength is where the slide was at its frame."""
+"""A session log as a recording; the slide's travel at a frame's time gives a coil's arclength."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from glissando.model.tendons.channel import Channel, ends_of
 LOG = "session.mcap"
 """Name of a session's log in its folder."""
 ARCLENGTH_STD = 2e-3
-"""How well one measures by hand where a coil is, m, where a setup does not say."""
-_GAP = 0.5  # s without a pose that is reported
+"""Standard deviation, m, of a coil's arclength measured by hand, unless the setup states one."""
+_GAP = 0.5  # s without a pose from which a gap is reported
 _MOCAP_STD = np.repeat([3e-4, 5e-3], 3)  # m, rad: a marker body of some centimetres
 
 
 @dataclass(frozen=True)
 class SessionStreams:
-    """What a session log holds, as a recording has it.
+    """Streams of a session log, for a recording.
 
     Attributes:
         name: Name of the rig.
-        robot: Shipped robot, or path of a robot file.
-        streams: The streams; a coil's are in the frame 'tracker'.
-        frame: Pose (4, 4) of the tracker in the world, None where the setup does not state it.
-        warnings: Sentences on bodies that were never seen, and on gaps.
+        robot: Name of a shipped robot, or path of a robot file.
+        streams: Streams; those of coils are in the frame 'tracker'.
+        frame: Pose (4, 4) of the tracker in the world; None if the setup does not state it.
+        warnings: Sentences on devices without any pose, and on gaps.
     """
 
     name: str
@@ -48,10 +48,10 @@ class SessionStreams:
 
 
 def session_setup(session: RawSession) -> dict[str, Any]:
-    """What a session log states of its rig.
+    """Setup of the rig, as stated in the metadata of a session log.
 
     Raises:
-        RecordingError: It states nothing, or what is no JSON object.
+        RecordingError: The log has no setup, or the setup is not a JSON object.
     """
     text = session.metadata.get("setup")
     if text is None:
@@ -71,19 +71,19 @@ def session_setup(session: RawSession) -> dict[str, Any]:
 def session_streams(
     session: RawSession, setup: Mapping[str, Any], folder: Path = Path()
 ) -> SessionStreams:
-    """The streams of a session, of one that was cut off as well.
+    """Streams of a session log, which may have been cut off.
 
-    Times begin at the slide's first reading. Messages before the slide's first reading and after
-    its last, frames of a coil before and after those of the stage that moves it, and frames without
-    a pose are left out.
+    Time zero is the slide's first reading. Messages outside the times at which the slide was read,
+    frames of a coil outside those of the stage that moves it, and frames without a pose are left
+    out.
 
     Args:
-        session: The log.
-        setup: What is known of the rig, as its metadata 'setup' states it.
-        folder: The session's folder, in which its robot's file may be.
+        session: Session log.
+        setup: Setup of the rig, as of `session_setup`.
+        folder: Folder of the session, which may contain its robot's file.
 
     Raises:
-        RecordingError: Nothing is left, or the setup is wrong.
+        RecordingError: No device has a pose, or the setup is invalid.
     """
     table = Table(dict(setup), "setup", RecordingError)
     robot = table.text("robot")
@@ -130,7 +130,10 @@ def session_streams(
 
 
 def _slide(session: RawSession) -> tuple[tuple[Array, Array], float, tuple[float, float]]:
-    """Times and travels of the slide, when times begin, and the span in which it was read."""
+    """Times (M,), s, and travels (M,), m, of the slide; the zero of times; the slide's time span.
+
+    Without a slide, travel is 0, time zero is the first message, and the span is unbounded.
+    """
     time, travel = seen_travels(session.topics.get("/slide"))
     if time.size:
         return (time, travel), float(time[0]), (time[0], time[-1])
@@ -140,7 +143,7 @@ def _slide(session: RawSession) -> tuple[tuple[Array, Array], float, tuple[float
 
 
 def _travels(session: RawSession, name: str) -> tuple[Array, Array]:
-    """Times and travels of a further stage. Raises RecordingError when it has none."""
+    """Times (M,), s, and travels (M,), m, of a further stage. Raises RecordingError without any."""
     time, travel = seen_travels(session.topics.get(f"/slide/{name}"))
     if not time.size:
         raise RecordingError(f"The session holds no travel of the stage {name!r}; record again.")
@@ -148,11 +151,11 @@ def _travels(session: RawSession, name: str) -> tuple[Array, Array]:
 
 
 _Coil = tuple[float, float, str, Channel | None]
-"""Arclength at travel zero, m, its change with travel (−1, 0, 1), the stage, the channel."""
+"""Arclength at travel zero, m, its derivative by travel (−1, 0, 1), stage's name, channel."""
 
 
 def _coils(session: RawSession, setup: Table) -> dict[str, _Coil]:
-    """Each coil by name."""
+    """Coils by name, from the setup's [coils], or the only one from its older keys."""
     given = dict(setup.named_tables("coils"))
     if given:
         return {
@@ -173,16 +176,16 @@ def _coils(session: RawSession, setup: Table) -> dict[str, _Coil]:
 
 
 def seen_poses(topic: Topic | None) -> tuple[Array, Array]:
-    """Times (M,) and poses (M, 4, 4) that were seen, in the order of time, each frame once.
+    """Times (M,), s, and measured poses (M, 4, 4), sorted by time, each frame once.
 
     Raises:
-        RecordingError: Positions or quaternions have another number of entries.
+        RecordingError: Positions do not have 3 entries, or quaternions not 4.
     """
     if topic is None:
         return np.zeros(0), np.zeros((0, 4, 4))
     time, frame = topic.column("time"), topic.column("frame")
     position, quaternion = topic.column("position"), topic.column("quaternion")
-    if position.ndim != 2 or quaternion.ndim != 2:  # nothing was ever seen
+    if position.ndim != 2 or quaternion.ndim != 2:  # no pose was ever measured
         return np.zeros(0), np.zeros((0, 4, 4))
     if position.shape[1] != 3 or quaternion.shape[1] != 4:
         raise RecordingError(
@@ -199,7 +202,7 @@ def seen_poses(topic: Topic | None) -> tuple[Array, Array]:
 
 
 def seen_travels(topic: Topic | None) -> tuple[Array, Array]:
-    """Times (M,) and travels (M,) of a stage, in the order of time, each time once."""
+    """Increasing times (M,), s, and travels (M,), m, of a stage."""
     if topic is None:
         return np.zeros(0), np.zeros(0)
     time, travel = topic.column("time"), topic.column("travel")
@@ -209,7 +212,7 @@ def seen_travels(topic: Topic | None) -> tuple[Array, Array]:
 
 
 def _gaps(name: str, time: Array, span: tuple[float, float], zero: float) -> list[str]:
-    """A sentence on each stretch of the recording in which something was not seen."""
+    """A sentence for each gap in the times of a device, with the span's ends if it is bounded."""
     ends = np.concatenate([span[:1], time, span[1:]]) if np.isfinite(span[0]) else time
     return [
         f"{name} was not seen from {ends[k] - zero:.1f} to {ends[k + 1] - zero:.1f} s"

@@ -1,4 +1,4 @@
-"""The files of the robots that come with the package."""
+"""Files of the robots that come with the package."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ def shipped_robots() -> list[str]:
 
 
 def beside(folder: Path, name: str) -> str:
-    """The file of this name in a folder, else the name: of a shipped robot, or a path."""
+    """Path of a file of this name in a folder if it exists, else the name unchanged."""
     return str(folder / name) if name and os.path.isfile(folder / name) else name
 
 
 def robot_file(name: str | Path) -> Path:
-    """The file of a shipped robot by name, or of any robot by path.
+    """Path of the robot file of a shipped robot, given by name, or of any robot, given by path.
 
     Raises:
-        RobotFileError: There is none.
+        RobotFileError: There is neither such a robot nor such a file.
     """
     if str(name) in shipped_robots():
         return _SHIPPED / f"{name}.toml"

@@ -1,4 +1,4 @@
-"""CSV files of commands: a time and a column a tendon."""
+"""CSV files of tendon commands: a column of times and one for each tendon."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from glissando.model.seconds import seconds
 
 
 def read_tendon_commands(path: Path, names: tuple[str, ...]) -> tuple[Array, Array]:
-    """Times and displacements of tendons; other columns are left alone.
+    """Read times and displacements of tendons; other columns are ignored.
 
     Args:
-        path: CSV file with the column time, or timestamp, and one a tendon: its name, in metres, or
-            its name and _mm, in millimetres. A stream of a recording does as well, whose columns
-            are tendon_0, tendon_1 and so on in the order of the names.
+        path: CSV file with the column time, or timestamp, in seconds and one for each tendon: its
+            name, in metres, or its name and _mm, in millimetres; or tendon_0, tendon_1, … in the
+            order of the names, as in a stream of a recording.
         names: Names of the tendons.
 
     Returns:
         Times (M,), s, and displacements (M, T), m.
 
     Raises:
-        RecordingError: A column is missing, a cell is no number, or times do not increase.
+        RecordingError: A column is missing, a cell is not a number, or times do not increase.
     """
     lines = text_lines(path)
     head = [cell.strip() for cell in lines[0].split(",")] if lines else []

@@ -1,4 +1,4 @@
-"""Other people's files, in and out: motion capture, trackers and bags in; trajectories out."""
+"""Files of other programs: import of motion capture, trackers and bags; export of trajectories."""
 
 from glissando.io.foreign.kinds import read_tracks
 from glissando.io.foreign.recording import Choices, write_recording

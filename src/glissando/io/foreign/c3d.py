@@ -1,7 +1,7 @@
-"""c3d files: the points that motion capture labelled.
+"""Import of c3d files: labelled points of motion capture.
 
-Every size is compared with the bytes at hand before anything is made of it. Source: Motion Lab
-Systems, "The C3D File Format: A Technical User Guide" (c3d.org).
+Every size that a file states is checked against the file's length before memory is allocated.
+Source: Motion Lab Systems, "The C3D File Format: A Technical User Guide" (c3d.org).
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from glissando.io.foreign.tracks import LENGTHS, Track, plain_name
 from glissando.io.plain_file import require_plain
 
 _BLOCK = 512  # bytes
-_INTEL, _DEC, _SGI = 84, 85, 86  # processors that wrote the file
+_INTEL, _DEC, _SGI = 84, 85, 86  # types of the processor that wrote the file
 _SIZES = {-1: 1, 1: 1, 2: 2, 4: 4}  # bytes of a parameter's type; -1 is text
-_MANY = 65535  # frames, beyond which the header cannot count
+_MANY = 65535  # largest frame number that the header can state
 
 
 def read_c3d(path: Path, rate: float | None) -> list[Track]:
-    """Points of a c3d file as positions; a residual below zero is a gap.
+    """Read the points of a c3d file as positions; a residual below zero marks a gap.
 
     Args:
-        path: The file.
-        rate: Frames a second, which override POINT:RATE.
+        path: c3d file.
+        rate: Frames a second; None to take the file's.
 
     Raises:
-        RecordingError: The file cannot be read, is cut short, or states no units or rate.
+        RecordingError: The file cannot be read, is truncated, or states no units or rate.
     """
     try:
         require_plain(path)
@@ -91,7 +91,7 @@ class _File:
             )
 
     def _count(self, first: int, last: int) -> int:
-        """The number of frames, which further parameters state where the header cannot."""
+        """Number of frames, from parameters of the file if it is too large for the header."""
         if last < _MANY:
             return last - first + 1
         long, actual = self.number("POINT", "LONG_FRAMES"), ("TRIAL", "ACTUAL_END_FIELD")
@@ -103,7 +103,7 @@ class _File:
         return last - first + 1
 
     def _floats(self, words: Array) -> Array:
-        """Numbers of float32 that pairs of 16-bit words are; DEC swaps these and has a bias."""
+        """Pairs of 16-bit words as float32; DEC's have swapped words and a biased exponent."""
         if self._processor == _DEC:
             return words.reshape(-1, 2)[:, ::-1].copy().view("<f4").ravel() / 4.0
         return words.copy().view(f"{self._order}f4")
@@ -139,7 +139,7 @@ class _File:
         return _Parameter(kind, shape, self._data[begin : begin + size])
 
     def text(self, group: str, name: str) -> str:
-        """A parameter's text; empty where there is none."""
+        """First text of a parameter; empty if there is no such parameter."""
         return "".join(self._texts(group, name)[:1])
 
     def _texts(self, group: str, name: str) -> list[str]:
@@ -151,7 +151,7 @@ class _File:
         return [parameter.data[k : k + size].decode("utf-8", "replace").strip("\0 ") for k in cut]
 
     def number(self, group: str, name: str) -> float | None:
-        """The first number of a parameter; None where there is none."""
+        """First number of a parameter; None if there is no such parameter."""
         parameter = self.parameters.get((group, name))
         if parameter is None or parameter.kind not in (2, 4) or not parameter.data:
             return None
@@ -160,7 +160,7 @@ class _File:
         return float(self._floats(np.frombuffer(parameter.data, f"{self._order}u2", 2))[0])
 
     def labels(self) -> list[str]:
-        """Labels of the points; a file of more than 255 goes on in LABELS2 and so forth."""
+        """Labels of the points; those beyond 255 are in LABELS2, LABELS3 and so on."""
         labels: list[str] = []
         for k in range(1, 256):
             more = self._texts("POINT", "LABELS" if k == 1 else f"LABELS{k}")
@@ -170,7 +170,7 @@ class _File:
         return labels[: self._points]
 
     def points(self) -> tuple[Array, Array]:
-        """Points (P, F, 3) in the file's unit, and which of them (P, F) were seen."""
+        """Positions (P, F, 3) in the file's unit, and whether each (P, F) was measured."""
         each, real = 4 * self._points + self._analog, self._scale < 0.0
         count = self.frames * each * (1 + real)
         raw = np.frombuffer(self._data, f"{self._order}u2", count, self._begin)

@@ -1,11 +1,11 @@
-"""Any delimited text, read by a mapping that says which column holds what.
+"""Import of any delimited text, by a mapping from quantities to columns.
 
 The mapping is a line, time=t,x=px,…,length=mm, or a TOML file with a table for each object. A
-column is named by its title, or by its number from 1. The columns of an object say what it is:
-x, y, z are a position, with a rotation they are a pose; columns of another sensor's kind, such as
-wx, wy, wz of a gyroscope, are readings of it. A rotation is qw, qx, qy, qz, a rotation vector
-rx, ry, rz, or angles a1, a2, a3 whose axes `euler` names: capitals turn about the body's own axes,
-small letters about fixed ones.
+column is given by its title, or by its number from 1. The columns of an object determine its kind:
+x, y, z are a position, and with a rotation a pose; columns of another kind of sensor, such as
+wx, wy, wz of a gyroscope, are readings of that kind. A rotation is qw, qx, qy, qz, a rotation
+vector rx, ry, rz, or Euler angles a1, a2, a3 about the axes in `euler`: capitals for intrinsic
+rotations, small letters for extrinsic ones.
 """
 
 from __future__ import annotations
@@ -39,20 +39,23 @@ _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
 _PLACE, _QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 _VECTOR, _TURNS = ("rx", "ry", "rz"), ("a1", "a2", "a3")
 EPOCH = 1e8
-"""Seconds: times beyond it count from 1970."""
+"""Times, s, larger than this are taken to count from 1970."""
 
 
 def read_path(path: Path, columns: str) -> tuple[Array, Array]:
-    """Where a sensor was: times (M,), s, and arclengths (M,), m, of a delimited text.
+    """Read the path of a sliding sensor from a delimited text.
 
     Args:
-        path: The file.
-        columns: Mapping with time and arclength, or time, travel and zero, the arclength at travel
-            zero; direction=1 where arclength grows with travel. Empty for time=time and
-            arclength=arclength.
+        path: Text file.
+        columns: Mapping with time and arclength, or with time, travel, zero, the arclength at
+            travel zero, and optionally direction=1 if arclength grows with travel. Empty for
+            time=time,arclength=arclength.
+
+    Returns:
+        Times (M,), s, and arclengths (M,), m.
 
     Raises:
-        RecordingError: A column is not there, a row is wrong, or time does not increase.
+        RecordingError: A column is missing, a row is invalid, or time does not increase.
     """
     table = Table(_entries(columns or "time=time,arclength=arclength"), "--columns", RecordingError)
     clock, seconds = table.text("time"), _TIMES[table.text("clock", "s", choices=_TIMES)]
@@ -75,7 +78,7 @@ def read_path(path: Path, columns: str) -> tuple[Array, Array]:
 
 
 def _number(table: Table, key: str, default: float | None) -> float:
-    """A number of a mapping, which may be a text."""
+    """Number of a mapping's key, which may be given as text."""
     value = table.text(key, None if default is None else repr(default))
     try:
         return float(value)
@@ -85,17 +88,17 @@ def _number(table: Table, key: str, default: float | None) -> float:
 
 @dataclass(frozen=True)
 class Mapping:
-    """Which columns of a file hold what.
+    """Columns of a file by the quantities in them.
 
     Attributes:
-        clock: Column of the time, or of a frame number where `rate` is given.
-        objects: Columns by what they hold, of each object by its name.
+        clock: Column of the time, or of the frame number if `counts`.
+        objects: For each object, by name, its columns by the quantities in them.
         counts: Whether the clock counts frames.
         seconds: Seconds of the clock's unit.
         length: Metres of the file's unit of length.
         angle: Radians of the file's unit of angle.
-        euler: Axes of the angles a1, a2, a3 in their order.
-        frame: Frame of the values.
+        euler: Axes of the angles a1, a2, a3 in their order; capitals for intrinsic rotations.
+        frame: Name of the frame of the values.
     """
 
     clock: str
@@ -109,14 +112,14 @@ class Mapping:
 
 
 def parse_mapping(text: str, name: str) -> Mapping:
-    """The mapping of a line `time=…,x=…` for one object, or of a TOML file.
+    """Parse a mapping: a line `time=…,x=…` for one object, or a TOML file.
 
     Args:
-        text: The line, or the name of a file that ends in .toml.
+        text: The line, or a path that ends in .toml.
         name: Name of the object that a line describes.
 
     Raises:
-        RecordingError: A key is missing, unknown or has a wrong value.
+        RecordingError: A key is missing, unknown or has an invalid value.
     """
     if text.endswith(".toml"):
         return _mapping(read_toml(Path(text), RecordingError))
@@ -126,7 +129,7 @@ def parse_mapping(text: str, name: str) -> Mapping:
 
 
 def _entries(text: str) -> dict[str, str]:
-    """The parts of a line KEY=COLUMN,… by key."""
+    """Columns of a line KEY=COLUMN,… by key."""
     entries = {}
     for part in text.split(","):
         key, equals, value = part.partition("=")
@@ -138,7 +141,7 @@ def _entries(text: str) -> dict[str, str]:
     return entries
 
 
-_LIKE = 0.75  # how alike a key is to another that was misspelt
+_LIKE = 0.75  # similarity from which a key is taken for a misspelling of another
 _GENERAL = ("time", "count", "clock", "length", "angle", "euler", "frame")
 
 
@@ -174,28 +177,28 @@ def _mapping(table: Table) -> Mapping:
 
 
 def _angles() -> set[str]:
-    """Columns whose numbers are in the unit of angle."""
+    """Keys of columns whose numbers are in the unit of angle."""
     sensors = [sensor.value_columns({}) for sensor in SENSORS.values() if not sensor.settings]
     units = [pair for columns in sensors for pair in columns.items()]
     return {*_VECTOR, *_TURNS, *(key for key, unit in units if "rad" in unit)}
 
 
 def _column(table: Table, key: str) -> str:
-    """A column by its title, or its number."""
+    """Title of a column, or its number as text."""
     value = table.peek(key)
     return str(int(table.number(key))) if isinstance(value, int) else table.text(key)
 
 
 def read_columns(path: Path, mapping: Mapping, rate: float | None) -> list[Track]:
-    """The objects of a delimited text.
+    """Read the objects of a delimited text.
 
     Args:
-        path: The file.
-        mapping: Which columns hold what.
-        rate: Frames a second of a clock that counts frames.
+        path: Text file.
+        mapping: Columns of the file.
+        rate: Frames a second, if the clock counts frames; else None.
 
     Raises:
-        RecordingError: A column is not there, or a row is wrong, with the line.
+        RecordingError: A column is missing, or a row is invalid; the message names the line.
     """
     if mapping.counts and rate is None:
         raise RecordingError(f"{path.name} counts frames; give their rate with --rate HZ.")
@@ -235,9 +238,9 @@ def _track(
                 f"--columns of {name}: {key} and {others[0]} are one column of {path.name}; give "
                 f"each its own."
             )
-    zeros = "x" not in keys  # a tracker writes them for what it does not see
+    zeros = "x" not in keys  # trackers write zeros for an object that is not visible
     seen = samples(path, rows, clock, at, seconds, zeros=zeros)
-    if keys[-4:] == _QUATERNION:  # all zeros is what a tracker writes for what it does not see
+    if keys[-4:] == _QUATERNION:  # all zeros: trackers write that for an object that is not visible
         blind = ~np.any(seen.values[:, -4:], axis=1)
         seen = replace(
             seen, time=seen.time[~blind], values=seen.values[~blind],
@@ -260,7 +263,7 @@ def _track(
 def _kind(
     path: Path, mapping: Mapping, name: str, columns: dict[str, str]
 ) -> tuple[str, tuple[str, ...]]:
-    """What an object is by the columns it has, and these in their order."""
+    """Kind of an object by the keys of its columns, and the keys in the kind's order."""
     given = set(columns)
     for turn in (_QUATERNION, _VECTOR, _TURNS):
         if given == {*_PLACE, *turn}:
@@ -283,7 +286,7 @@ def _kind(
 
 
 def _values(path: Path, mapping: Mapping, kind: str, keys: tuple[str, ...], table: Array) -> Array:
-    """The values of a kind, SI units, from the columns of the file."""
+    """Values of a kind of sensor, SI units, from numbers (M, C) of the file in order of `keys`."""
     if kind == "pose":
         turn = table[:, 3:]
         if keys[3:] == _QUATERNION:
@@ -303,8 +306,8 @@ def _values(path: Path, mapping: Mapping, kind: str, keys: tuple[str, ...], tabl
 
 
 def _require_radians(path: Path, mapping: Mapping, turn: Array) -> None:
-    """Refuse rotations (M, 3) beyond a whole turn: degrees that are said to be radians."""
-    size = np.nan_to_num(np.abs(turn)).max(axis=1, initial=0.0)  # what was not seen has none
+    """Raise RecordingError for angles (M, 3) beyond a whole turn, given as radians: degrees."""
+    size = np.nan_to_num(np.abs(turn)).max(axis=1, initial=0.0)  # NaN: not visible
     if mapping.angle == 1.0 and size.max(initial=0.0) > 2.0 * np.pi:
         row = int(size.argmax())
         raise RecordingError(

@@ -1,4 +1,4 @@
-"""Text in columns, however it is delimited, with points or commas in its numbers."""
+"""Cells of delimited text files, with decimal points or decimal commas."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _DELIMITERS = "\t;,"
 _COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*")
 _POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
 _BLANKS = re.compile(r'"[^"]*"|\S+')
-_LOOKED_AT = 200  # lines by which the delimiter is chosen
+_LOOKED_AT = 200  # lines from which the delimiter is chosen
 REMARKS = ("#", "%")
-"""Begin a line that is a remark, or that of the titles."""
+"""First characters of a comment line, which may be the line of titles."""
 Line = tuple[int, list[str]]
-"""The number of a line and its cells."""
+"""Number of a line, from 1, and its cells."""
 
 
 class CommaNumber(str):
@@ -35,10 +35,10 @@ class CommaNumber(str):
 
 
 def cells_of(path: Path) -> list[Line]:
-    """The lines of a text as cells, whose decimal commas have become points.
+    """Read the lines of a text as cells, with decimal commas replaced by points.
 
-    The delimiter is that of tab, semicolon and comma which most lines have, in this order where
-    two are alike; without any, or where commas part no more than a number, blanks part the cells.
+    The delimiter is the one of tab, semicolon and comma that occurs in most lines, and the first in
+    this order in a tie; without any, or if commas occur as decimal commas only, it is white space.
 
     Raises:
         RecordingError: The file cannot be read.
@@ -58,7 +58,7 @@ def cells_of(path: Path) -> list[Line]:
 
 
 def _require_one_mark(path: Path, line: int, cells: list[str]) -> None:
-    """Raise RecordingError where numbers of one line had commas and points."""
+    """Raise RecordingError if some numbers of a line have a comma and others a point."""
     commas = [cell for cell in cells if isinstance(cell, CommaNumber)]
     points = [
         cell for cell in cells if not isinstance(cell, CommaNumber) and _POINT.fullmatch(cell)
@@ -72,7 +72,7 @@ def _require_one_mark(path: Path, line: int, cells: list[str]) -> None:
 
 
 def _delimiter(lines: list[str]) -> str:
-    """What parts the cells of most lines that are no remarks; empty for blanks."""
+    """Delimiter that occurs in most lines other than comments; empty for white space."""
     some = [line for line in lines[:_LOOKED_AT] if line.strip()]
     some = [line for line in some if not line.lstrip().startswith(REMARKS)] or some
     most = max(_DELIMITERS, key=lambda d: sum(d in line for line in some))
@@ -83,19 +83,19 @@ def _delimiter(lines: list[str]) -> str:
 
 
 def _of_blanks(line: str) -> bool:
-    """Whether blanks part a line's cells, and its commas are those of numbers."""
+    """Whether a line's cells are separated by white space and its commas are decimal commas."""
     cells = line.split()
     return len(cells) > 1 and all("," not in c or _COMMA.fullmatch(c) for c in cells)
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Rows of one object that were seen.
+    """Valid rows of one object.
 
     Attributes:
         time: Increasing times (M,), s.
-        values: Numbers (M, C) as the file has them.
-        missing: Number of rows in which it was not seen.
+        values: Numbers (M, C) in the file's units.
+        missing: Number of rows without a measurement of the object.
         dropped: Number of rows left out, by reason.
     """
 
@@ -114,20 +114,20 @@ def samples(
     *,
     zeros: bool = False,
 ) -> Samples:
-    """The rows of one object; those at the time of one before are left out and counted.
+    """Valid rows of one object; rows with the time of the one before are left out and counted.
 
     Args:
-        path: The file, for messages.
-        rows: The rows.
-        clock: Column of the clock.
-        columns: Columns of the object's numbers.
+        path: File, for messages.
+        rows: Rows of the file.
+        clock: Column of the clock, from 0.
+        columns: Columns of the object's numbers, from 0.
         seconds: Seconds of one unit of the clock.
-        zeros: Whether nothing but zeros is a reading, where it else says that nothing was seen.
+        zeros: Whether a row of zeros is a measurement; else it counts as missing.
 
     Raises:
-        RecordingError: A cell is no number, one has a comma and another a point, or the clock goes
-            back, with the line; or it is so coarse that no more than half of what was seen has a
-            time of its own.
+        RecordingError: A cell is not a number, one has a comma and another a point, or the clock
+            goes back, with the line; or the clock is so coarse that at least half of the rows have
+            the time of the row before with other values.
     """
     times: list[float] = []
     values: list[Array] = []

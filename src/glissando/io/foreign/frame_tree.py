@@ -1,6 +1,6 @@
-"""Frames that hang from others, as ROS publishes them on /tf: their poses in the frame at the root.
+"""Trees of frames, as ROS publishes them on /tf, and poses of frames in the root of their tree.
 
-A transform says where a child frame is in its parent; one that holds at all times is static.
+A transform is the pose of a child frame in its parent; a static one holds at all times.
 Source: Foote, *tf: The transform library* (2013).
 """
 
@@ -20,24 +20,24 @@ from glissando.io.foreign.tracks import Track
 
 @dataclass(frozen=True)
 class FrameTree:
-    """What is known of the frames of a bag.
+    """Transforms between the frames of a bag.
 
     Attributes:
-        static: Parent of each frame that is fixed in it, and its pose (4, 4) there.
-        moving: Poses of each frame that moves, as a track in the frame of its parent.
+        static: Parent and pose (4, 4) in the parent of each static frame, by the frame's name.
+        moving: Track of each moving frame in the frame of its parent, by the frame's name.
     """
 
     static: Mapping[str, tuple[str, Array]]
     moving: Mapping[str, Track]
 
     def at_root(self, frame: str) -> Track:
-        """A moving frame's track in the frame at the root of its tree.
+        """Track of a moving frame in the root frame of its tree.
 
-        Times at which a frame on the way was not seen yet, or not any more, are left out as those
-        at which an object was missing.
+        Times outside the track of a frame between it and the root are left out and counted as
+        missing.
 
         Raises:
-            RecordingError: The frames go round in a circle.
+            RecordingError: The frames form a cycle.
         """
         track = self.moving[frame]
         root, pose = self._from_root(track.frame, track.time, (frame,))
@@ -51,7 +51,7 @@ class FrameTree:
         )
 
     def _from_root(self, frame: str, time: Array, below: tuple[str, ...]) -> tuple[str, Array]:
-        """The root of a frame, and the frame's poses (M, 4, 4) in it at times (M,); NaN unseen."""
+        """Root of a frame, and the frame's poses (M, 4, 4) in it at times (M,); NaN if unknown."""
         if frame in below:
             way = " → ".join((*below, frame))
             raise RecordingError(f"Frames hang from each other in a circle, {way}; mend the bag.")
@@ -67,7 +67,7 @@ class FrameTree:
 
 
 def _between(track: Track, time: Array) -> Array:
-    """Poses (M, 4, 4) of a track at times (M,), straight between its own; NaN beyond them."""
+    """Poses (M, 4, 4) of a track at times (M,), interpolated linearly; NaN outside its times."""
     out = np.full((time.size, 4, 4), np.nan)
     if track.time.size < 2:
         out[np.isin(time, track.time)] = track.values

@@ -1,4 +1,4 @@
-"""Foreign files of every kind, told apart by name and content."""
+"""Import of foreign files, whose format is recognised by name and content."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ def read_tracks(
     topics: Sequence[str] = (),
     columns: str = "",
 ) -> list[Track]:
-    """Tracks of a foreign file.
+    """Read the tracks of a foreign file.
 
     Args:
         path: File, or folder of a ROS 2 bag.
-        rate: Frames a second, for kinds that do not state them; None for those that state times.
+        rate: Frames a second, for formats that do not state them; None for those that state times.
         topics: Topics of a bag; by default all with poses.
         columns: Mapping of the columns of any other text, see `glissando.io.foreign.columns`.
 
     Raises:
-        RecordingError: The file is of no known kind, or something in it is wrong.
+        RecordingError: The file's format is unknown, or its content is invalid.
     """
     path = Path(path)
     if rate is not None and not 0.0 < rate < 1e6:

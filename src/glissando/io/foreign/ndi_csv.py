@@ -1,12 +1,12 @@
-"""CSV files of NDI's Track and ToolBox, and of programs that write the same columns.
+"""Import of CSV files of NDI's Track and ToolBox, and of programs that write the same columns.
 
-A block a tool: Port …, Frame, Time [sec], Face, State, Q0 Qx Qy Qz, Tx Ty Tz (mm), Error, and for
-optical tools the markers; or one block without a Port. Rz Ry Rx in the place of the quaternion are
-Euler angles in degrees, R = Rz Ry Rx [inferred from NDI's guides]. A tool that was not seen has a
-State that is not OK, empty cells, or the device's huge negative number. [inferred]: State is OK
-when all is well, an empty or absent State says nothing against the row; a tool with one coil
-reports its direction only, so rows are read as a 'coil', which ignores roll, unless the user says
-otherwise.
+Each tool has a block of columns: Port …, Frame, Time [sec], Face, State, Q0 Qx Qy Qz, Tx Ty Tz
+(mm), Error, and for optical tools the markers; a file without a Port has one block. Rz Ry Rx in
+place of the quaternion are Euler angles in degrees, R = Rz Ry Rx [inferred from NDI's guides]. A
+tool that is not visible has a State other than OK, empty cells, or the device's huge negative
+number. [inferred]: State is OK for a valid row, and a row with an empty or absent State counts as
+valid; a tool with one coil measures only its direction, so rows are read as a 'coil', which ignores
+roll, unless the user gives another kind.
 """
 
 from __future__ import annotations
@@ -43,19 +43,20 @@ def is_ndi_header(cells: list[str]) -> bool:
 
 
 def _columns(labels: list[str]) -> list[str]:
-    """Those of quaternions, else those of Euler angles, else none."""
+    """Names of the columns of quaternions, else of Euler angles, else none."""
     return next((names for names in (_VALUES, _EULER) if set(names) <= set(labels)), [])
 
 
 def read_ndi_csv(path: Path, rate: float | None) -> list[Track]:
-    """Tools of an NDI CSV file, in the tracker's frame.
+    """Read the tools of an NDI CSV file, in the tracker's frame.
 
     Args:
-        path: The file.
-        rate: Frames a second, counted from the file's first; None to take its time column.
+        path: CSV file.
+        rate: Frames a second, to compute times from frame numbers since the first; None to take
+            the column of times.
 
     Raises:
-        RecordingError: There are no times, or a row or a column is wrong.
+        RecordingError: There are no times, or a row or a column is invalid.
     """
     lines = cells_of(path)
     heads = lines[0][1]
@@ -90,7 +91,7 @@ def _tool(
     for line, cells in rows:
         cells += [""] * (len(heads) - len(cells))
         tick = as_numbers(path, line, [cells[start + clock]])
-        if tick is None or tick[0] == before:  # not there, or polled faster than it measures
+        if tick is None or tick[0] == before:  # missing, or polled faster than it measures
             missing, repeated = missing + (tick is None), repeated + (tick is not None)
             continue
         require_ahead(path, line, before, tick[0])
@@ -114,7 +115,7 @@ def _tool(
 
 
 def _clock(path: Path, labels: list[str], rate: float | None) -> tuple[int, bool]:
-    """The column of the clock, and whether it counts seconds from 1970 rather than frames."""
+    """Column of the clock within a block, and whether it holds times, s, rather than frames."""
     frame = next((labels.index(name) for name in _FRAMES if name in labels), None)
     if rate is not None and frame is not None:
         return frame, False
@@ -129,7 +130,7 @@ def _clock(path: Path, labels: list[str], rate: float | None) -> tuple[int, bool
 
 
 def _tool_name(head: str, cell: str, path: Path) -> str:
-    """A tool's name: 'Port 0x01: Tip coil  s/n:3E' is Tip_coil, 'Port 1' is Port_1."""
+    """Name of a tool: 'Port 0x01: Tip coil  s/n:3E' gives Tip_coil, 'Port 1' gives Port_1."""
     if not head.lower().startswith("port"):
         return plain_name(path.stem)
     label = cell if cell.lower().startswith("port") else head

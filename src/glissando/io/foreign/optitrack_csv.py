@@ -1,9 +1,9 @@
-"""CSV files of OptiTrack Motive: rigid bodies and labelled markers.
+"""Import of CSV files of OptiTrack Motive: rigid bodies and labelled markers.
 
-A line of settings in pairs, among them the rate, the units and the type of rotation; then lines of
-types, names, identities, quantities and axes over the columns; then a row a frame. [inferred], to
-be verified on an export of one's own: an object that was not seen has empty cells, Euler angles are
-in degrees and turn about the body's own axes in the order that the type names.
+A file has a line of settings in pairs, among them the rate, the units and the type of rotation;
+then lines of types, names, identities, quantities and axes above the columns; then a row a frame.
+[inferred], to be verified on an export of one's own: an object that is not visible has empty cells;
+Euler angles are intrinsic, in degrees, in the order named by the type of rotation.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ def is_motive_header(cells: list[str]) -> bool:
 
 
 def read_motive_csv(path: Path, rate: float | None) -> list[Track]:
-    """Rigid bodies and markers of a Motive CSV file.
+    """Read the rigid bodies and markers of a Motive CSV file.
 
     Args:
-        path: The file.
-        rate: Frames a second, which override the file's times.
+        path: CSV file.
+        rate: Frames a second, to compute times from frame numbers; None to take the file's times.
 
     Raises:
-        RecordingError: The file holds no objects, or something in it is wrong.
+        RecordingError: The file has no objects, or its content is invalid.
     """
     lines = cells_of(path)
     pairs = zip(lines[0][1][::2], lines[0][1][1::2], strict=False)
@@ -72,13 +72,13 @@ def read_motive_csv(path: Path, rate: float | None) -> list[Track]:
 
 
 def _row(lines: list[Line], top: int, title: str) -> list[str]:
-    """The line over the columns whose title, in its second cell, is asked for."""
+    """Line above the columns whose title, in its second cell, is `title`; else the third above."""
     matching = (c for _, c in lines[:top] if len(c) > 1 and c[1].lower() == title)
     return next(matching, lines[max(top - 3, 0)][1])
 
 
 def _objects(heads: list[list[str]]) -> dict[str, dict[str, int]]:
-    """Columns of each object's rotation (rX…) and position (pX…) by its name."""
+    """Columns of each object's rotation (rX, …) and position (pX, …), by the object's name."""
     names, quantities, axes = heads
     out: dict[str, dict[str, int]] = {}
     for column in range(2, min(map(len, heads))):
@@ -89,7 +89,7 @@ def _objects(heads: list[list[str]]) -> dict[str, dict[str, int]]:
 
 
 def _rotations(path: Path, kind: str, values: Array) -> Array:
-    """Rotations (M, 3, 3) of Motive's quaternions x, y, z, w or Euler angles about x, y, z."""
+    """Rotations (M, 3, 3) of Motive's quaternions x, y, z, w or Euler angles about x, y, z, deg."""
     if values.shape[1] == 4:
         return unit_rotations(path, values[:, [3, 0, 1, 2]])
     order = kind.strip()[:3].upper()

@@ -1,11 +1,11 @@
-"""TSV files of Qualisys Track Manager: markers (3D) and rigid bodies (6D), with their header.
+"""Import of TSV files of Qualisys Track Manager, with header: markers (3D), rigid bodies (6D).
 
-Lines of a name and a value, among them FREQUENCY, DATA_INCLUDED and the names of markers or bodies;
-then, if it was asked for, a line of column titles, and with it each row's frame and time; then a
-row a frame, in millimetres. Frame 1 is time 0; rows without titles are frames without gaps.
-[inferred], to be verified on an export of one's own: a marker that was not seen has zeros or
-empty cells, a body zeros or NaN; the nine elements of a body's rotation go down the columns of its
-matrix.
+A file has lines of a name and a value, among them FREQUENCY, DATA_INCLUDED and the names of markers
+or bodies; then, optionally, a line of column titles, in which case each row begins with its frame
+and time; then a row a frame, in millimetres. Frame 1 is time 0; rows without titles are consecutive
+frames. [inferred], to be verified on an export of one's own: a marker that is not visible has zeros
+or empty cells, a body zeros or NaN; the nine elements of a body's rotation matrix are in
+column-major order.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from glissando.io.foreign.delimited import Line, cells_of, samples
 from glissando.io.foreign.tracks import Track, plain_name
 
 _MM = 1e-3
-_BODY, _TURN = 16, 7  # columns of a body, and the first of them that is of its rotation
+_BODY, _TURN = 16, 7  # number of columns of a body, and the first of its rotation
 
 
 def is_qualisys_header(cells: list[str]) -> bool:
@@ -30,14 +30,14 @@ def is_qualisys_header(cells: list[str]) -> bool:
 
 
 def read_qualisys_tsv(path: Path, rate: float | None) -> list[Track]:
-    """Markers or rigid bodies of a Qualisys TSV file.
+    """Read the markers or rigid bodies of a Qualisys TSV file.
 
     Args:
-        path: The file.
-        rate: Frames a second, which override the header's FREQUENCY.
+        path: TSV file.
+        rate: Frames a second; None to take the header's FREQUENCY.
 
     Raises:
-        RecordingError: The header lacks something, or a row is wrong.
+        RecordingError: The header is incomplete, or a row is invalid.
     """
     header, titles, rows = _parts(cells_of(path))
     hz = rate or _frequency(path, header)
@@ -72,7 +72,7 @@ def read_qualisys_tsv(path: Path, rate: float | None) -> list[Track]:
 
 
 def _parts(lines: list[Line]) -> tuple[dict[str, list[str]], list[str], list[Line]]:
-    """The header's values by name, the titles of the columns if there are any, and the rows."""
+    """Values of the header by name, the titles of the columns (empty without), and the rows."""
     header: dict[str, list[str]] = {}
     titles: list[str] = []
     rows: list[Line] = []
@@ -106,6 +106,6 @@ def _frequency(path: Path, header: dict[str, list[str]]) -> float:
 
 
 def _orthonormal(matrix: np.ndarray) -> np.ndarray:
-    """The rotations nearest to matrices (M, 3, 3) that were rounded."""
+    """Rotations nearest to matrices (M, 3, 3) with rounded elements."""
     u, _, vt = np.linalg.svd(matrix)
     return np.asarray(u @ vt)

@@ -1,4 +1,4 @@
-"""Tracks of foreign files become a recording folder."""
+"""Writing tracks of foreign files as a recording folder."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file, shipped_robots
 from glissando.model.robot import Robot
 
-_FEW = 0.1  # part of the rows, below which they hardly are on a path
-_LONGEST = 50.0  # m of a robot
+_FEW = 0.1  # share of rows within the times of a path, below which units are checked
+_LONGEST = 50.0  # largest arclength, m
 _KINDS = ("pose", "coil"), ("position",)
 
 
 @dataclass(frozen=True)
 class Choices:
-    """What the user adds to foreign files, by track name.
+    """Information that the user adds to foreign files, by track name.
 
     Attributes:
-        arclength: Metres, or a file that says where a sensor that slides was.
-        truth: Tracks that estimates are judged by.
+        arclength: Arclength, m, or a file with the path of a sliding sensor.
+        truth: Names of tracks that are ground truth.
         shift: Seconds added to a track's times.
-        kind: pose, coil or position.
-        robot: Name of a shipped robot, or a robot file.
-        columns: Mapping of the columns of a file of arclengths, by its name, see `read_path`.
+        kind: Kind as which a track is read: pose, coil or position.
+        robot: Name of a shipped robot, or a robot file; None to name no robot.
+        columns: Mapping of the columns of a file with a path, by the file's name, see `read_path`.
     """
 
     arclength: Mapping[str, float | Path]
@@ -53,15 +53,18 @@ def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> 
 
     Args:
         tracks: Tracks of foreign files.
-        folder: Folder to make.
-        choices: What the user adds.
+        folder: Folder to create.
+        choices: Information that the user adds.
 
     Returns:
-        A line a track: its rows, or why it was left out.
+        A line for each track: its rows, or why it was left out.
+
+    Warns:
+        OtherTimesWarning: Some times count from 1970 and others from a zero of their own.
 
     Raises:
-        RecordingError: No track has a name that was given, no track has an arclength, or the folder
-            holds something.
+        RecordingError: A name in `choices` is not that of a track, no track with an arclength has
+            rows, or the folder exists and is not empty.
     """
     tracks = _distinct(tracks)
     _require_known(tracks, choices)
@@ -98,7 +101,7 @@ def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> 
 
 
 def _distinct(tracks: Sequence[Track]) -> list[Track]:
-    """Tracks with a number behind the names that several have."""
+    """Tracks with distinct names: a number is appended to a name that several have."""
     names = [track.name for track in tracks]
     used, out = {name for name in names if names.count(name) == 1}, []
     for track in tracks:
@@ -121,12 +124,12 @@ def _require_known(tracks: Sequence[Track], choices: Choices) -> None:
 
 
 def _is_used(track: Track, choices: Choices) -> bool:
-    """Whether it is known where a track's object sits; times count from the first of these."""
+    """Whether a track's arclength is known, so that it is written."""
     return track.name in choices.arclength or track.kind == "tendon"
 
 
 def _warn_of_two_clocks(used: Sequence[Track], choices: Choices, start: float) -> None:
-    """Warn where some times count from 1970, others do not, and no shift says how they agree."""
+    """Warn if some times count from 1970, and others do not and have no shift."""
     since = [t.name for t in used if t.absolute]
     own = [t.name for t in used if not t.absolute and t.name not in choices.shift]
     if since and own:
@@ -140,7 +143,7 @@ def _warn_of_two_clocks(used: Sequence[Track], choices: Choices, start: float) -
 
 
 def _tendon_rows(track: Track, time: Array, robot: Robot | None) -> Rows:
-    """Rows of displacements, whose channels the robot states."""
+    """Rows of tendon displacements, in the order and with the channels of the robot's tendons."""
     tendons = None if robot is None else robot.tendons
     if tendons is None or len(tendons) != track.values.shape[1]:
         count = 0 if tendons is None else len(tendons)
@@ -162,7 +165,7 @@ def _tendon_rows(track: Track, time: Array, robot: Robot | None) -> Rows:
 
 
 def _placed(track: Track, choices: Choices, start: float, robot: Robot | None) -> Rows | None:
-    """Rows of a track where it sat and when, None when nobody says where that is."""
+    """Rows of a track with arclengths, and absolute times since `start`; None without arclength."""
     if track.kind == "tendon":
         shift = choices.shift.get(track.name, 0.0)
         return _tendon_rows(track, track.time - start * track.absolute + shift, robot)
@@ -196,7 +199,7 @@ def _placed(track: Track, choices: Choices, start: float, robot: Robot | None) -
 
 
 def _require_one_clock(name: str, time: Array, path: Array, inside: NDArray[np.bool_]) -> None:
-    """Raise where times or path last a thousand times as long as the other, but begin together."""
+    """Raise RecordingError if one of times and path lasts about a thousand times the other."""
     spans = float(np.ptp(time)) if time.size else 0.0, float(np.ptp(path))
     if not all(spans) or not inside.any():
         return
@@ -214,12 +217,12 @@ def _require_one_clock(name: str, time: Array, path: Array, inside: NDArray[np.b
 
 
 def _since_1970(time: Array) -> bool:
-    """Whether times count from 1970; a clock of its own, such as a simulator's, stays as it is."""
+    """Whether times count from 1970, rather than from a zero such as a simulator's."""
     return bool(time.size and time[0] > EPOCH)
 
 
 def _why_empty(rows: Rows) -> str:
-    """Why no rows are left."""
+    """Reason why no rows are left."""
     return "".join(f"{n} rows {why}" for why, n in rows.dropped.items()) or "it was never seen"
 
 

@@ -1,4 +1,4 @@
-"""ROS 1 and ROS 2 bags: topics of stamped poses, and the frames of /tf."""
+"""Import of ROS 1 and ROS 2 bags: topics of stamped poses, and the frames of /tf."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ _KINDS = {
     ),
 }
 _KINDS |= dict.fromkeys(_TREES, _KINDS["geometry_msgs/msg/TransformStamped"])
-_WORK = 1 << 28  # bytes that reading takes beside what a bag unpacks to
-_SHOWN = 8  # topics that a refusal names
+_WORK = 1 << 28  # bytes that reading needs in addition to the unpacked bag
+_SHOWN = 8  # topics named in an error
 _WORLDS = ("", "world", "map")
 
 
 def read_bag(path: Path, topics: Sequence[str]) -> list[Track]:
-    """Pose topics of a ROS 1 bag file or a ROS 2 bag folder, and every frame that moves in /tf.
+    """Read the pose topics of a ROS 1 bag file or ROS 2 bag folder, and the moving frames of /tf.
 
-    A frame's poses are those in the frame at the root of its tree, by the transforms of /tf_static
-    and of frames on the way, which are interpolated at its times.
+    Poses of a frame are expressed in the root frame of its tree, through the transforms of
+    /tf_static and of the moving frames between, which are interpolated at the frame's times.
 
-    Times are the headers' stamps, or the bag's where a header has none. A stamp of zero is none,
-    except on a clock that begins there, as a simulator's does.
+    Times are the stamps in headers, or the log times of messages without a stamp. A stamp of zero
+    counts as missing, except on a clock that begins at zero, such as a simulator's.
 
     Args:
-        path: The bag.
-        topics: Names of topics; none for all with poses.
+        path: File or folder of the bag.
+        topics: Names of topics; empty for all with poses.
 
     Raises:
         RecordingError: The bag cannot be read or has no such topics.
@@ -80,9 +80,9 @@ def read_bag(path: Path, topics: Sequence[str]) -> list[Track]:
 
 @contextmanager
 def _bounded_memory(size: int) -> Iterator[None]:
-    """Where the system can, let this process grow by no more than a bag of a size needs.
+    """Limit the growth of this process's memory to the need of a bag of `size` bytes, on Linux.
 
-    The reader unpacks whatever a bag holds before anybody can ask how much it is.
+    The reader unpacks a bag before its unpacked size can be checked.
     """
     try:
         import resource
@@ -114,7 +114,7 @@ def _chosen(path: Path, types: dict[str, str], topics: Sequence[str]) -> list[st
 
 
 def _held(types: dict[str, str]) -> str:
-    """A sentence of the topics that a bag without poses has, and what to do."""
+    """A sentence on the topics of a bag without poses, with a remedy."""
     held = [f"{topic} ({kind})" for topic, kind in types.items()]
     more = f" and {len(held) - _SHOWN} more" if len(held) > _SHOWN else ""
     return (
@@ -124,13 +124,17 @@ def _held(types: dict[str, str]) -> str:
 
 
 def _is_static(topic: str, kind: str) -> bool:
-    """Whether a topic has the transforms that hold at all times."""
+    """Whether a topic carries static transforms."""
     return kind in _TREES and topic.rpartition("/")[2] == "tf_static"
 
 
 @dataclass
 class _Poses:
-    """Poses of a topic or of one of its frames: stamps, times of logging, numbers; all names."""
+    """Poses of a topic or of one of its frames.
+
+    `read` holds (stamp, log time, [qw, qx, qy, qz, x, y, z]) with times in ns; `frames` and
+    `children` the names of parent and child frames; `missing` counts invalid poses.
+    """
 
     read: list[tuple[int, int, list[float]]] = field(default_factory=list)
     frames: set[str] = field(default_factory=set)
@@ -141,7 +145,7 @@ class _Poses:
 def _tracks(
     bag: Any, types: dict[str, str], chosen: Sequence[str], static: Sequence[str]
 ) -> list[Track]:
-    """Tracks of topics, and of the frames of those that hold many."""
+    """Tracks of the chosen topics, and of each frame of those with transforms."""
     fixed: dict[str, tuple[str, Array]] = {}
     for topic in static:
         for child, poses in _poses(bag, topic, each=True).items():
@@ -161,7 +165,7 @@ def _tracks(
 
 
 def _poses(bag: Any, topic: str, *, each: bool) -> dict[str, _Poses]:
-    """What was read of a topic, under the name of its child frame where `each` is of its own."""
+    """Poses of a topic by child frame if `each`, else all of them under the empty name."""
     out: dict[str, _Poses] = {} if each else {"": _Poses()}
     for connection, logged, raw in bag.messages([c for c in bag.connections if c.topic == topic]):
         message = bag.deserialize(raw, connection.msgtype)
@@ -181,7 +185,7 @@ def _poses(bag: Any, topic: str, *, each: bool) -> dict[str, _Poses]:
 
 
 def _track(topic: str, poses: _Poses) -> Track:
-    """Poses of a topic in order of their stamps; the first of those that share one."""
+    """Track of a topic's poses, sorted by stamp; of those with the same stamp, the first."""
     for names in (poses.frames, poses.children):
         names.discard("")
         if len(names) > 1:
@@ -203,10 +207,10 @@ def _track(topic: str, poses: _Poses) -> Track:
 
 
 def _plain(frame: str) -> str:
-    """A frame's name as tracks have it."""
+    """Name of a frame in tracks."""
     return "world" if frame.strip("/") in _WORLDS else plain_name(frame)
 
 
 def _begins_at_zero(stamps: Sequence[int]) -> bool:
-    """Whether a stamp of zero is a time, as of a simulator's clock, and not one that nobody set."""
+    """Whether stamps, ns, are of a clock from zero, such as a simulator's, so that 0 is a time."""
     return 0 < max(stamps, default=0) <= 1e9 * EPOCH

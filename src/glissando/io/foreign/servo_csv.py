@@ -1,8 +1,8 @@
-"""CSV files of tendon-driven robots: displacements of servos and the position of a marker.
+"""Import of CSV files of tendon-driven robots: displacements of servos, position of a marker.
 
-The layout of `data/sysid` of the OpenCR project: timestamp (s since 1970), pattern_label,
-servo_<id>_mm a tendon, tip_x, tip_y, tip_z (mm). Displacements are positive when a tendon is
-pulled: its robots bend towards the tendon whose number rises.
+The layout is that of `data/sysid` of the OpenCR project: timestamp (s since 1970), pattern_label,
+servo_<id>_mm for each tendon, tip_x, tip_y, tip_z (mm). Displacements are positive when a tendon is
+pulled: the robot bends towards the tendon whose displacement increases.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ _TIP = ("tip_x", "tip_y", "tip_z")
 
 @dataclass(frozen=True)
 class ServoLog:
-    """What a file holds.
+    """Rows of a file of servos and a marker.
 
     Attributes:
         names: Names of the servos, in the order of the tendons.
         time: Times (M,), s since 1970.
         displacement: Displacements (M, T), positive when pulled, m.
         tip: Positions (M, 3) of the marker, m.
-        pattern: What each row (M,) belongs to, or empty texts.
-        missing: Number of rows left out for want of a marker.
+        pattern: Label of the motion pattern of each row (M,); empty if there is none.
+        missing: Number of rows left out because the marker is missing.
     """
 
     names: tuple[str, ...]
@@ -44,15 +44,15 @@ class ServoLog:
 
 
 def is_servo_header(cells: list[str]) -> bool:
-    """Whether a file begins with this layout's names."""
+    """Whether the cells of a first line are the titles of this layout."""
     return cells[0] == "timestamp" and any(_SERVO.fullmatch(cell) for cell in cells)
 
 
 def read_servo_csv(path: Path) -> ServoLog:
-    """The rows of a file in the order of time; a row without a marker is left out.
+    """Read the rows of a file, sorted by time; rows without a marker are left out.
 
     Raises:
-        RecordingError: A column is missing, or a cell is no number.
+        RecordingError: A column is missing, or a cell is not a number.
     """
     lines = text_lines(path)
     head = [cell.strip() for cell in lines[0].split(",")] if lines else []
@@ -92,7 +92,7 @@ def read_servo_csv(path: Path) -> ServoLog:
 
 
 def servo_tracks(path: Path) -> list[Track]:
-    """The displacements as a track of kind tendon, and the marker as one of kind position."""
+    """Read the displacements as a track of kind tendon, and the marker as one of kind position."""
     log = read_servo_csv(path)
     pulled, missing = log.displacement, log.missing
     return [

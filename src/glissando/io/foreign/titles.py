@@ -1,4 +1,4 @@
-"""Which columns of a delimited text are meant by their titles, or by their numbers from 1."""
+"""Finding columns of a delimited text by their titles, or by their numbers from 1."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from glissando.io.foreign.delimited import REMARKS, Line
 
 
 def titled(path: Path, lines: list[Line], wanted: Sequence[str]) -> tuple[list[str], list[Line]]:
-    """The titles of the columns, empty where they have none, and the rows.
+    """Titles of the columns, empty for columns without a title, and the rows below them.
 
-    Where all are asked for by number, none has a title.
-    The line of the titles may begin as a remark does.
+    If all wanted columns are given by number, all titles are empty. The line of titles may be
+    marked as a comment.
 
     Args:
-        path: The file, for messages.
-        lines: Its lines.
+        path: File, for messages.
+        lines: Lines of the file.
         wanted: Columns by title or by number, that of the clock first.
 
     Raises:
-        RecordingError: No line has these titles, or it has more of them than its rows have cells.
+        RecordingError: No line has these titles, or it has more titles than the rows have cells.
     """
     named = [column for column in wanted if not column.isdecimal()]
     if not named:
@@ -44,12 +44,12 @@ def titled(path: Path, lines: list[Line], wanted: Sequence[str]) -> tuple[list[s
 
 
 def _over_all(titles: list[str], rows: list[Line]) -> list[str]:
-    """The titles, and empty ones for the columns that have none."""
+    """Titles, with empty ones for further columns of the rows."""
     return titles + [""] * (_width(rows) - len(titles))
 
 
 def _uncommented(titles: list[str], rows: list[Line]) -> list[str]:
-    """Titles without the sign of a remark, which is a cell of its own where blanks part them."""
+    """Titles without the comment character, which may be a cell of its own."""
     if titles[0] in REMARKS and _width(rows) < len(titles):
         return titles[1:]
     return [titles[0].lstrip("".join(REMARKS)).lstrip(), *titles[1:]]
@@ -70,7 +70,7 @@ def _width(rows: list[Line]) -> int:
 
 
 def _is_row(cells: list[str], wanted: Sequence[str]) -> bool:
-    """Whether the clock's cell of a line holds a time."""
+    """Whether the clock's cell of a line is a number or a date."""
     at = int(wanted[0]) - 1
     try:
         float(dated(cells, at)[at])
@@ -80,10 +80,10 @@ def _is_row(cells: list[str], wanted: Sequence[str]) -> bool:
 
 
 def find(path: Path, titles: list[str], column: str) -> int:
-    """The place of a column, from 0, by its title or its number from 1.
+    """Index of a column, from 0, given by its title or its number from 1.
 
     Raises:
-        RecordingError: There is none, or several have the title.
+        RecordingError: There is no such column, or several have the title.
     """
     if titles.count(column) > 1:
         raise RecordingError(
@@ -100,7 +100,7 @@ def find(path: Path, titles: list[str], column: str) -> int:
 
 
 def dated(cells: list[str], clock: int) -> list[str]:
-    """The cells with a date and time of day, as ISO 8601 writes them, in seconds since 1970."""
+    """Cells in which an ISO 8601 date in the column `clock` is replaced by seconds since 1970."""
     if clock < len(cells) and cells[clock][4:5] == "-":
         try:
             stamp = datetime.datetime.fromisoformat(cells[clock])

@@ -1,4 +1,4 @@
-"""Tracks, which every reader of foreign files gives, and the parts that the readers share."""
+"""Tracks, the result of every reader of foreign files, and functions that the readers share."""
 
 from __future__ import annotations
 
@@ -14,28 +14,29 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.io.plain_file import plain_text
 
-_NO_NUMBER = 1e20  # NDI's devices write -3.697314e28 where there is no value
+_NO_NUMBER = 1e20  # NDI's devices write -3.697314e28 for a missing value
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-"""Metres of a unit as files name it."""
+"""Metres of each unit of length, by its name in files."""
 REPEATED, SAME_TIME = "that repeat another row", "with the time of another row but other values"
-"""Why rows are left out."""
+"""Reasons for which rows are left out."""
 
 
 @dataclass(frozen=True)
 class Track:
-    """One object of a foreign file; the file does not say where on the robot it sits.
+    """Measurements of one object of a foreign file, whose arclength the file does not state.
 
     Attributes:
         name: Name of the object.
-        kind: pose, coil, position or tendon.
+        kind: Kind of sensor, such as pose, coil, position or tendon.
         time: Increasing times (M,), s.
-        values: Poses (M, 4, 4), positions (M, 3) or displacements (M, T) in m.
-        missing: Number of rows in which it was not seen.
-        frame: Name of the frame of its values.
+        values: Values (M, …) of the kind, SI units: poses (M, 4, 4), positions (M, 3),
+            displacements (M, T), …
+        missing: Number of rows without a measurement of the object.
+        frame: Name of the frame of the values.
         absolute: Whether times are those of a clock, which may count from 1970, not of frames.
-        numbered: Whether rows have frame numbers, so that repeated values are new readings.
+        numbered: Whether rows have frame numbers, so that repeated values are new measurements.
         dropped: Number of other rows left out, by reason.
-        columns: Names of the columns of values, where the file names them.
+        columns: Names of the columns of values; empty if the file does not name them.
     """
 
     name: str
@@ -51,7 +52,7 @@ class Track:
 
 
 def plain_name(text: str) -> str:
-    """A name that may stand in a file's name: letters, digits and _ . - only.
+    """Name that is safe in file names: other characters than letters, digits, _ . - become _.
 
     >>> plain_name("Snake:Tip marker")
     'Snake_Tip_marker'
@@ -60,7 +61,7 @@ def plain_name(text: str) -> str:
 
 
 def text_lines(path: Path) -> list[str]:
-    """Lines of a text file in UTF-8, in UTF-16 with a mark, or as Windows in the West writes it.
+    """Lines of a text file in UTF-8, in UTF-16 with a byte order mark, or in Windows-1252.
 
     Raises:
         RecordingError: The file cannot be read.
@@ -72,10 +73,10 @@ def text_lines(path: Path) -> list[str]:
 
 
 def as_numbers(path: Path, line: int, cells: Sequence[str]) -> Array | None:
-    """The cells of a line as numbers; None when one is empty or huge: the object was not seen.
+    """Numbers in the cells of a line; None if one is empty, NaN or huge: a missing measurement.
 
     Raises:
-        RecordingError: A cell is no number, with the line.
+        RecordingError: A cell is not a number; the message names the line.
     """
     if any(not cell.strip() for cell in cells):
         return None
@@ -90,7 +91,7 @@ def as_numbers(path: Path, line: int, cells: Sequence[str]) -> Array | None:
 
 
 def require_ahead(path: Path, line: int, before: float, frame: float) -> None:
-    """Raise RecordingError unless frame numbers, or times, increase."""
+    """Raise RecordingError unless a frame number, or time, is larger than the one before."""
     if not frame > before:
         raise RecordingError(
             f"{path.name} line {line}: frame or time {frame:.15g} follows {before:.15g}; sort the "
@@ -99,7 +100,7 @@ def require_ahead(path: Path, line: int, before: float, frame: float) -> None:
 
 
 def require_no_rate(path: Path, rate: float | None) -> None:
-    """Raise RecordingError for a rate that has no effect, as the rows of a file state times."""
+    """Raise RecordingError if a rate is given, which has no effect on a file with times."""
     if rate is not None:
         raise RecordingError(
             f"{path.name} states the times of its rows, to which --rate {rate:g} says nothing; "
@@ -111,7 +112,7 @@ def unit_rotations(path: Path, quaternion: Array) -> Array:
     """Rotations (M, 3, 3) of quaternions w, x, y, z (M, 4) of a file.
 
     Raises:
-        RecordingError: One of them has not norm one.
+        RecordingError: The norm of one of them is not 1.
     """
     norm = np.linalg.norm(quaternion, axis=1)
     if np.any(np.abs(norm - 1.0) > 0.01):

@@ -1,4 +1,4 @@
-"""A posterior as a trajectory that other programs read: TUM, CSV, MCAP."""
+"""Export of posteriors and streams as trajectories for other programs: TUM, CSV, MCAP."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _POSE = schema("foxglove.Pose", position=_VECTOR, orientation=_QUATERNION)
 _TIME = schema("time", sec={"type": "integer"}, nsec={"type": "integer"})
 _STAMPED = {"timestamp": _TIME, "frame_id": TEXT}
 _MANY = {"type": "array"}
-_CHUNK = 200  # times at once, to bound memory
+_CHUNK = 200  # times evaluated at once, to bound memory
 SCHEMAS = {
     "/shape": schema("foxglove.PosesInFrame", **_STAMPED, poses={**_MANY, "items": _POSE}),
     "/tip": schema("foxglove.PoseInFrame", **_STAMPED, pose=_POSE),
@@ -49,16 +49,17 @@ def export(
     """Write poses of a posterior to a .tum (.txt), .csv or .mcap file.
 
     Args:
-        posterior: The posterior.
+        posterior: Posterior to evaluate.
         out: File to write; its suffix chooses the format.
         arclength: Arclengths (N,), m; by default the tip for TUM, else the nodes.
         rate: Poses a second; by default at the time nodes.
 
     Returns:
-        The number of times.
+        Number of times.
 
     Raises:
-        GlissandoError: The suffix or the rate is none that can be written.
+        GlissandoError: The suffix is unknown, the rate is invalid, several arclengths are given
+            for TUM, or times below zero for MCAP.
         OutsideGridError: An arclength is off the robot.
     """
     out = Path(out)
@@ -82,20 +83,21 @@ def export(
 
 
 def export_stream(stream: Stream, out: str | Path) -> int:
-    """Write the rows of a stream, such as the truth, to a .tum (.txt) or .csv file.
+    """Write the rows of a stream, such as ground truth, to a .tum (.txt) or .csv file.
 
-    A TUM file holds the cross-section's poses in the world, the mount taken off, as an exported
-    posterior does; of a stream of positions, identity rotations.
+    A TUM file holds poses T_wb of the cross-section, as that of a posterior does: the mount T_bc of
+    the sensor is removed. For a stream of positions its rotations are identities and the mount is
+    not removed.
 
     Args:
-        stream: A stream of a recording, in the world frame.
+        stream: Stream of a recording, in the world frame.
         out: File to write; its suffix chooses the format.
 
     Returns:
-        The number of rows.
+        Number of rows.
 
     Raises:
-        GlissandoError: The suffix is none that can be written, or the stream has no positions.
+        GlissandoError: The suffix is unknown, or the stream has no positions.
     """
     out, rows = Path(out), stream.rows
     suffix = out.suffix.lower()
@@ -128,7 +130,7 @@ def _times(nodes: Array, rate: float | None) -> Array:
 
 
 def _write_tum(posterior: Posterior, building: Path, time: Array, arclength: Array) -> None:
-    """Lines of `t x y z qx qy qz qw`, which is what evo and other SLAM tools read."""
+    """Write lines of `t x y z qx qy qz qw`, the format of evo and other SLAM tools."""
     if arclength.size != 1:
         raise GlissandoError(
             f"A TUM file holds one trajectory; give one --arclength, not {arclength.size}."
@@ -163,7 +165,7 @@ def _write_mcap(posterior: Posterior, building: Path, time: Array, arclength: Ar
 def _messages(
     estimate: StateEstimate, k: int, time: float, arclength: Array
 ) -> dict[str, dict[str, Any]]:
-    """The messages of the k-th time of an estimate (K, N), by topic."""
+    """Messages at the k-th time of an estimate (K, N), by topic."""
     at = StateEstimate(*(getattr(estimate, name)[k] for name in vars(estimate)))
     now = round(1e9 * time)
     stamp = {"timestamp": {"sec": now // 10**9, "nsec": now % 10**9}, "frame_id": "world"}

@@ -1,9 +1,9 @@
-"""CSV files of Vicon Tracker (objects) and Nexus (segments, trajectories).
+"""Import of CSV files of Vicon Tracker (objects) and Nexus (segments, trajectories).
 
-A section: its title, a number, names, labels, units, a row a frame, an empty line. [inferred], to
-be verified on an export of one's own: an object that was not seen has empty cells, a short row or
-six zeros; rotations are helical (the rotation vector, its length the angle), which Tracker exports
-by default and the file does not state; frame 1 is time 0.
+A section has a title, a number, names, labels, units, a row a frame, and ends in an empty line.
+[inferred], to be verified on an export of one's own: an object that is not visible has empty cells,
+a short row or six zeros; rotations are helical (rotation vectors, whose length is the angle), which
+Tracker exports by default and the file does not state; frame 1 is time 0.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _UNITS = {**LENGTHS, "rad": 1.0, "deg": np.pi / 180.0}
 
 @dataclass(frozen=True)
 class _Section:
-    """Cells of a section: its head and its rows with their line numbers."""
+    """Cells of a section: its header, and its rows with their line numbers."""
 
     title: str
     number: str
@@ -46,14 +46,15 @@ class _Section:
 
 
 def read_vicon_csv(path: Path, rate: float | None) -> list[Track]:
-    """Objects, segments and markers of a Tracker or Nexus CSV file.
+    """Read the objects, segments and markers of a Tracker or Nexus CSV file.
 
     Args:
-        path: The file.
-        rate: Frames a second, which override the file's; Tracker's own cannot be trusted.
+        path: CSV file.
+        rate: Frames a second; None to take Nexus's own. For Tracker it must be given, as sources
+            disagree on the meaning of the number in its files.
 
     Raises:
-        RecordingError: The file holds no objects, or something in it is wrong.
+        RecordingError: The file has no objects, or its content is invalid.
     """
     tracks: list[Track] = []
     for section in _sections(path):
@@ -102,7 +103,7 @@ def _rate(path: Path, section: _Section, given: float | None) -> float:
 
 
 def _frames(path: Path, section: _Section) -> tuple[Array, list[tuple[int, list[str]]]]:
-    """Frames since the first of the trial, and the rows that are whole frames."""
+    """Frame numbers (M,) from 0, and the rows that are whole frames."""
     frames: list[float] = []
     rows = []
     for line, cells in section.rows:
@@ -116,7 +117,7 @@ def _frames(path: Path, section: _Section) -> tuple[Array, list[tuple[int, list[
 
 
 def _columns(section: _Section) -> list[tuple[str, list[int]]]:
-    """Names of the section's objects, and the columns of their numbers in our order."""
+    """Names of the section's objects, and the columns of their rotation and position."""
     starts = [c for c, name in enumerate(section.names) if name and c >= 2]
     objects = []
     for start, end in pairwise([*starts, len(section.labels)]):
@@ -154,6 +155,6 @@ def _track(
 
 
 def _name(text: str) -> str:
-    """An object's name: 'Global Angle Tip:Tip' is Tip, 'Snake:Tip' is Snake_Tip."""
+    """Name of an object: 'Global Angle Tip:Tip' gives Tip, 'Snake:Tip' gives Snake_Tip."""
     subject, _, part = text.removeprefix("Global Angle ").partition(":")
     return plain_name(subject if part in ("", subject) else f"{subject}_{part}")

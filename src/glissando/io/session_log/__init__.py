@@ -1,8 +1,8 @@
-"""Raw session logs: the messages of devices as they come, in an MCAP file that survives a crash.
+"""Raw session logs: messages of devices as they arrive, in an MCAP file that survives a crash.
 
-Each device stream is a topic, with messages of JSON and a JSON schema that Foxglove and any MCAP
+Each device stream is a topic of JSON messages with a JSON schema, which Foxglove and any MCAP
 reader understand. Log times are the host's monotonic clock in ns; the metadata record 'session'
-relates it to the wall clock. Floats come back bit by bit; NaN is written as null.
+relates it to the wall clock. Floats are stored exactly; NaN is written as null.
 """
 
 from glissando.io.session_log.messages import INTEGER, NUMBER, TEXT, numbers, schema

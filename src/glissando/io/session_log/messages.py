@@ -1,4 +1,4 @@
-"""Messages as JSON, and their schemas."""
+"""Encoding of messages as JSON, and their schemas."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def schema(title: str, **properties: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def encoded(topic: str, message: Mapping[str, Any]) -> bytes:
-    """A message of numbers, texts, lists, dicts and arrays as JSON; null for NaN.
+    """Encode a message of numbers, texts, lists, dicts and arrays as JSON; NaN becomes null.
 
     Raises:
-        GlissandoError: A number is infinite, or a value has no form in JSON.
+        GlissandoError: A number is infinite, or a value has a type that JSON lacks.
     """
     try:
         try:
@@ -54,7 +54,7 @@ def _as_list(value: Any) -> Any:
 
 
 def _without_nan(value: Any) -> Any:
-    """The value as JSON has it, null for NaN."""
+    """Value of types that JSON has, with None in place of NaN."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, float):

@@ -1,4 +1,4 @@
-"""Reading a session log: whole, cut off anywhere, or with damage inside."""
+"""Reading a session log, which may be complete, truncated anywhere, or damaged inside."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from glissando.geometry.se3 import Array
 from glissando.io.plain_file import largest_unpacked, require_plain
 
 _MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")  # of a record: its kind and the length of its body
+_HEAD = struct.Struct("<BQ")  # header of a record: its kind and the length of its body
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA = 2, 3, 4, 5, 6, 12
 
 
 @dataclass(frozen=True)
 class Topic:
-    """Messages of one stream in the order they were written.
+    """Messages of one stream in the order in which they were written.
 
     Attributes:
         name: Name of the topic.
-        schema: JSON schema of its messages.
-        metadata: What the writer stated of it.
+        schema: JSON schema of the messages.
+        metadata: Metadata of the topic.
         time_ns: Log times (M,), ns of the monotonic clock.
-        messages: The messages.
+        messages: The M messages.
     """
 
     name: str
@@ -43,10 +43,10 @@ class Topic:
     messages: list[dict[str, Any]]
 
     def column(self, key: str) -> Array:
-        """One property of every message as numbers (M, …), NaN where it is null or absent.
+        """One property of all messages as numbers (M, …); NaN where it is null or absent.
 
         Raises:
-            RecordingError: It is no number, or lists of different lengths.
+            RecordingError: The property is not numeric, or its lists differ in length.
         """
         rows = [message.get(key) for message in self.messages]
         like = next((row for row in rows if row is not None), None)
@@ -61,13 +61,13 @@ class Topic:
 
 @dataclass(frozen=True)
 class RawSession:
-    """A session log as it was read.
+    """Content of a session log.
 
     Attributes:
         topics: Topics by name.
-        metadata: What the writer stated of the session.
-        complete: Whether it was closed properly.
-        damaged: Number of records that could not be read.
+        metadata: Metadata of the session.
+        complete: Whether the log was closed properly.
+        damaged: Number of records and messages that could not be read.
     """
 
     topics: dict[str, Topic]
@@ -77,10 +77,10 @@ class RawSession:
 
 
 def read_session(path: str | Path) -> RawSession:
-    """Read a session log, whole, cut off anywhere, or with damage inside.
+    """Read a session log, which may be complete, truncated anywhere, or damaged inside.
 
     Raises:
-        RecordingError: It cannot be opened or is no MCAP file.
+        RecordingError: The file cannot be opened or is not an MCAP file.
         GlissandoError: mcap is not installed.
     """
     with needing("Reading MCAP files needs mcap", "hardware"):
@@ -101,7 +101,7 @@ def read_session(path: str | Path) -> RawSession:
 
 
 def _records(file: BinaryIO, path: str | Path) -> Iterator[tuple[int, bytes]]:
-    """Kinds and bodies of the records that are complete."""
+    """Kinds and bodies of the complete records of a file."""
     magic = file.read(len(_MAGIC))
     if not _MAGIC.startswith(magic):
         raise RecordingError(f"{path} is no MCAP file; give one that SessionWriter wrote.")
@@ -109,7 +109,7 @@ def _records(file: BinaryIO, path: str | Path) -> Iterator[tuple[int, bytes]]:
 
 
 def _records_from(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Kinds and bodies of the complete records from here on."""
+    """Kinds and bodies of the complete records from the file's present position."""
     begin = file.tell()
     size = file.seek(0, os.SEEK_END)
     file.seek(begin)
@@ -124,9 +124,9 @@ def _records_from(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
 
 @dataclass
 class _Contents:
-    """The contents of the records so far; messages by channel, not yet decoded.
+    """Content of the records read so far; messages by channel, not yet decoded.
 
-    Chunks may unpack to so many `left` bytes more.
+    `left` is the number of bytes to which further chunks may unpack.
     """
 
     left: int
@@ -138,7 +138,7 @@ class _Contents:
     damaged: int = 0
 
     def take(self, kind: int, body: bytes) -> None:
-        """Read one record; the kinds that an index repeats are skipped."""
+        """Read one record; kinds that only repeat others, such as indices, are skipped."""
         from mcap import records
         from mcap.data_stream import ReadDataStream
 
@@ -157,7 +157,7 @@ class _Contents:
         self.complete |= kind == _FOOTER
 
     def unpacked(self, chunk: Any) -> bytes:
-        """The records of a chunk; ValueError for one that is damaged or holds too much."""
+        """Unpacked records of a chunk. Raises ValueError if it is damaged or too large."""
         data: bytes = chunk.data
         if chunk.compression == "lz4":
             from lz4.frame import LZ4FrameDecompressor
@@ -175,7 +175,7 @@ class _Contents:
         return data
 
     def keep(self, record: Any) -> None:
-        """A schema, a channel or a message."""
+        """Store a schema, a channel or a message."""
         from mcap.records import Channel, Schema
 
         if isinstance(record, Schema):
@@ -186,7 +186,7 @@ class _Contents:
             self.messages.setdefault(record.channel_id, []).append(record)
 
     def topic(self, channel: Any) -> Topic:
-        """The topic of a channel with all of its messages that can be read."""
+        """Topic of a channel, with all of its readable messages."""
         rows = self.messages.get(channel.id, [])
         rows = [(row.log_time, self._decoded(row.data)) for row in rows]
         rows = [row for row in rows if row[1] is not None and row[0] < 1 << 63]

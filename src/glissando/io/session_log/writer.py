@@ -1,4 +1,4 @@
-"""Writing a session log that keeps after a crash what came a second before it."""
+"""Writing a session log from which a crash loses at most the last second."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _CHUNK_BYTES = 256 * 1024
 
 
 class SessionWriter:
-    """Writes messages as they come; those a second old survive a crash.
+    """Writer of messages to a session log; messages older than a second survive a crash.
 
-    A context manager, and safe to write to from several threads. A thread of its own ends a chunk
-    and flushes it to disk twice a second.
+    The writer is a context manager, and may be used from several threads. A background thread ends
+    a chunk and flushes it to disk twice a second.
 
     Args:
-        path: File to write.
-        metadata: Texts about the session, besides its clocks.
+        path: File to create.
+        metadata: Metadata of the session, in addition to its clocks.
 
     Raises:
         GlissandoError: The file exists or cannot be written, or mcap is not installed.
@@ -65,7 +65,7 @@ class SessionWriter:
         self._keeper.start()
 
     def add_topic(self, topic: str, message: Mapping[str, Any], **metadata: str) -> None:
-        """Declare a topic with the JSON schema of its messages; a second time changes nothing."""
+        """Declare a topic with the JSON schema of its messages; repeating that has no effect."""
         text = json.dumps(message).encode()
         with self._sound():
             if topic not in self._channels:
@@ -78,12 +78,12 @@ class SessionWriter:
 
         Args:
             topic: A declared topic.
-            message: Numbers, texts, lists, dicts and arrays.
-            time_ns: When it came, ns of the monotonic clock; by default now.
+            message: Numbers, texts, lists, dicts and arrays, by name.
+            time_ns: Time of arrival, ns of the monotonic clock; by default now.
 
         Raises:
             GlissandoError: A number is infinite, the topic is not declared, the log is closed, or
-                the disk refused to write before.
+                writing to disk has failed before.
         """
         data = encoded(topic, message)
         now = time.monotonic_ns() if time_ns is None else time_ns
@@ -101,7 +101,7 @@ class SessionWriter:
         """Flush everything written so far to disk."""
         with self._sound():
             self._flush()
-            at = os.dup(self._file.fileno())  # not under the lock: the disk may be slow
+            at = os.dup(self._file.fileno())  # fsync outside the lock: the disk may be slow
         try:
             os.fsync(at)
         except OSError as problem:
@@ -110,10 +110,10 @@ class SessionWriter:
             os.close(at)
 
     def close(self) -> None:
-        """Write the index and close.
+        """Write the index and close the file.
 
         Raises:
-            GlissandoError: The disk refused to write.
+            GlissandoError: Writing to disk failed.
         """
         self._closing.set()
         self._keeper.join()
@@ -135,7 +135,7 @@ class SessionWriter:
         self.close()
 
     def _flush(self) -> None:
-        """Hand everything to the operating system, which keeps it if this process is killed."""
+        """Hand all messages to the operating system, which keeps them if this process is killed."""
         self._writer.flush()
         self._flushed = time.monotonic()
 
@@ -146,7 +146,7 @@ class SessionWriter:
 
     @contextmanager
     def _sound(self) -> Iterator[None]:
-        """Hold the lock of a log that can be written; the first failure of the disk is kept."""
+        """Hold the lock of the log; raises if it is closed or if writing has failed before."""
         with self._lock:
             if self._failure is None and self._file.closed:
                 raise GlissandoError(f"{self.path} is closed; write before close().")
