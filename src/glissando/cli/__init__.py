@@ -1,1 +1,1 @@
-"""The commands of the command line, a module each: its options, and what it does with them."""
+"""The command line: a module for each command, with its options and its run function."""

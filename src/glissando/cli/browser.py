@@ -1,4 +1,4 @@
-"""The robot in a browser while a command runs."""
+"""A view of the robot in a browser while a command runs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _POINTS = 41  # along the robot
 
 
 def browser_view(length: float, stack: ExitStack) -> Live:
-    """A view of a robot of some length, m, served while the stack lasts; says where."""
+    """Serve a view of a robot of `length` m until the stack closes, and print its address."""
     view = stack.enter_context(Live(np.linspace(0.0, length, _POINTS)))
     say(f"Look at {view.address}")
     return view

@@ -1,4 +1,4 @@
-"""`glissando calibrate`: clocks, frames, mounts and the slide's zero from a session."""
+"""`glissando calibrate`: clock offsets, frames, mounts and the slide's zero from a session."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ exit status: 0 done, whatever the warnings; 2 something given was wrong.
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "calibrate", texts, _calibrate)
     add = parser.add_argument
@@ -105,7 +105,7 @@ def _calibrate(options: argparse.Namespace) -> int:
 
 
 def _of_session(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
-    """Calibrate a session; the result, and the recording that was written, if any."""
+    """Calibrate a session; returns the result, and the path of the recording written, if any."""
     if options.out is None:
         raise GlissandoError("A session is kept as it is: give --out FILE for what is found.")
     if options.session.is_dir():
@@ -123,7 +123,7 @@ def _of_session(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
 
 
 def _of_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
-    """Calibrate a recording; the result, and the recording that was written."""
+    """Calibrate a recording; returns the result, and the paths of the recordings written."""
     folder: Path = options.session
     folder = folder if folder.name.strip(".") else folder.resolve()  # "." has no name
     original = folder.with_name(f"{folder.name}.uncalibrated")
@@ -150,13 +150,13 @@ def _of_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]
 
 
 def _stated_robot(folder: Path, robot: Robot) -> str:
-    """The robot that a recording names; one of the public layout names none, and fits one."""
+    """Name of the robot in recording.toml; in the public layout, that of the matching robot."""
     file = folder / "recording.toml"
     return str(read_document(file).get("robot", "")) if file.is_file() else robot.name
 
 
 def _listed(result: Calibration) -> dict[str, dict[str, float | str]]:
-    """What was found, as recording.toml lists it."""
+    """Calibrated constants as entries of recording.toml, by name."""
     return {
         name: {"value": float(f"{value:.6g}"), "std": float(f"{std:.2g}"), "unit": unit}
         for name, value, std, unit in result.displayed()
@@ -164,7 +164,7 @@ def _listed(result: Calibration) -> dict[str, dict[str, float | str]]:
 
 
 def _named(options: argparse.Namespace, data: RigData) -> str:
-    """The robot that was asked for, else the session's; its file may lie beside the session."""
+    """Name or file of the robot of --robot, else of the session's, whose file may be beside it."""
     name = options.robot or data.robot
     if not name:
         raise RobotFileError(
@@ -175,12 +175,12 @@ def _named(options: argparse.Namespace, data: RigData) -> str:
 
 
 def _copied(robot: str) -> str | Path:
-    """The robot as a recording names it: its file, which is copied, unless it is shipped."""
+    """Name of a shipped robot, or path of another robot's file, which a recording copies."""
     return robot if not robot or robot in shipped_robots() else robot_file(robot)
 
 
 def _as_json(result: Calibration) -> dict[str, object]:
-    """The result in SI units; log odds are null where only one direction is possible."""
+    """The result for JSON, SI units; log odds are null if only one direction is possible."""
     return {
         "coil": result.coil_name,
         "direction": result.rig.direction,

@@ -1,4 +1,4 @@
-"""`glissando check`: whether the confidence of an estimate is true."""
+"""`glissando check`: whether the covariance of an estimate is consistent with its errors."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ not uniform; 2 something given was wrong.
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "check", texts, _check)
     add = parser.add_argument
@@ -136,7 +136,7 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _require_tubes_own(file: Path, robot: str | None) -> None:
-    """Make sure that a file to store a tube in is new, the robot's own, or one that has a tube."""
+    """Raise GlissandoError unless the file is new, the --robot file, or has a [tube] already."""
     if not file.exists() or (robot and Path(robot).exists() and file.samefile(robot)):
         return
     if "[tube]" not in file.read_text(encoding="utf-8", errors="replace"):
@@ -147,7 +147,7 @@ def _require_tubes_own(file: Path, robot: str | None) -> None:
 
 
 def _refuse_unused(options: argparse.Namespace) -> None:
-    """Refuse the options that have no effect on what is checked."""
+    """Raise GlissandoError for options that have no effect on this kind of check."""
     if options.draws is not None:
         unjudged = "recording", "store_tube", "level", "block", "leave_out", "allow"
         refuse_unused(options, "--draws", *unjudged)
@@ -167,11 +167,14 @@ def _refuse_unused(options: argparse.Namespace) -> None:
 def _tube(
     robot: Robot, errors: Sequence[Errors], options: argparse.Namespace
 ) -> dict[str, float | int] | None:
-    """The robot file's tube, or a new one that is stored, and the share of blocks inside."""
+    """The robot's tube, or a new one that is stored, with the share of blocks inside it.
+
+    Returns None without a tube, without errors against truth, or without a whole block of time.
+    """
     tube = robot.tube
     if options.store_tube:
         tube = conformal_tube(block_scores(errors, options.block), options.block, options.level)
-        assert robot.file is not None  # which `chosen_robot` read
+        assert robot.file is not None  # set by `chosen_robot`
         text = with_tube(robot.file.read_text(encoding="utf-8"), tube)
         write_text(options.store_tube, text)
     if tube is None or not errors:
@@ -191,14 +194,14 @@ Here {inside:.1%} of {here} blocks lie wholly inside."""
 def _checks(
     options: argparse.Namespace,
 ) -> tuple[list[Consistency], list[Errors], Robot, ViewData]:
-    """Every check (none without truth), errors, robot, and what is checked."""
+    """Consistency checks (none without truth), errors, robot, and the posterior with its data."""
     if options.target.is_file() and options.recording is None:
         raise GlissandoError(
             "A posterior holds no truth: give the folder that does with --recording FOLDER."
         )
     shown = posterior_shown(options)
     robot = shown.robot
-    assert robot is not None  # which a recording tells
+    assert robot is not None  # a recording has a robot
     errors = [errors_against(shown.posterior, t) for t in shown.truth]
     checks = check(errors)
     if errors or options.leave_out:
@@ -220,7 +223,7 @@ def _table(quantity: str, checks: Sequence[Consistency]) -> Table:
         title_justify="left",
         box=SIMPLE_HEAD,
         pad_edge=False,
-        show_edge=False,  # two columns that 80 need
+        show_edge=False,  # saves two columns, to fit 80
         collapse_padding=True,
     )
     table.add_column("site", overflow="fold")

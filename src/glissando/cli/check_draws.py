@@ -1,4 +1,4 @@
-"""`glissando check --draws`: sessions drawn from a robot file's own prior judge its confidence."""
+"""`glissando check --draws`: simulation-based calibration with draws from the robot's prior."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from glissando.model.sensors.readings import Readings
 from glissando.visualization.canvas import save_figure
 from glissando.visualization.evaluation_figures import ecdf_figure
 
-_STEPS = 60  # time nodes of a session with the readings of a recording
+_STEPS = 60  # time nodes of a drawn session, by default
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of drawn sessions to the parser of `check`."""
+    """Add the options of simulation-based calibration to the parser of `check`."""
     add = parser.add_argument
     drawn = "draw N sessions from the robot file's prior instead, and rank their truth (SBC)"
     add("--draws", type=int, metavar="N", help=drawn)
@@ -39,7 +39,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def check_draws(options: argparse.Namespace) -> int:
-    """Draw sessions, print the ranks' verdicts; returns 0 if all are uniform, else 1."""
+    """Draw and estimate sessions, print verdicts on the ranks; returns 0 if all are uniform."""
     if not options.prior_factor > 0.0:
         raise GlissandoError(f"--prior-factor is {options.prior_factor:g}; give one above zero.")
     robot, layout = _robot_and_layout(options)
@@ -68,7 +68,7 @@ def check_draws(options: argparse.Namespace) -> int:
 def _robot_and_layout(
     options: argparse.Namespace,
 ) -> tuple[Robot, tuple[Grid, list[Readings]] | None]:
-    """The robot, and whose readings' places, times and noise to take, if a recording is given."""
+    """Robot, and grid and readings that give arclengths, times and noise; None for its own."""
     if options.target is None:
         if not options.robot:
             raise GlissandoError("--draws needs a robot: give --robot FILE or a recording.")
@@ -95,7 +95,7 @@ def _robot_and_layout(
 
 
 def _middle(window: tuple[float, float], most: float) -> tuple[float, float]:
-    """The middle of a window, `most` seconds long if it is longer.
+    """The middle `most` seconds of a window, or the whole window if it is shorter.
 
     >>> _middle((0.0, 10.0), 2.0)
     (4.0, 6.0)

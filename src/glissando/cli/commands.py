@@ -1,4 +1,4 @@
-"""The commands: the module of each, which is imported when it is run, and its line in the help."""
+"""Table of the commands: the module of each, imported only when it runs, and its line of help."""
 
 COMMANDS = {
     "estimate": ("estimate", "estimate a recording"),

@@ -1,4 +1,4 @@
-"""`glissando --print-completion SHELL`: a script that completes words, made by shtab."""
+"""`glissando --print-completion SHELL`: a completion script for a shell, made by shtab."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _ROBOTS = {
 
 
 def completion(parser: argparse.ArgumentParser, shell: str) -> str:
-    """A script that completes commands, options, robots and files.
+    """Text of a shell script that completes commands, options, robots and files.
 
     Args:
-        parser: The parser of the whole command line.
-        shell: bash, zsh or tcsh.
+        parser: Parser of the whole command line.
+        shell: Name of the shell: bash, zsh or tcsh.
     """
     (commands,) = (a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
     for command in commands.values():

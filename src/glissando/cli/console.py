@@ -1,4 +1,4 @@
-"""The console that commands print on, and tables and numbers as several of them print them."""
+"""Console output of commands: tables, errors against truth, and sensor parameters."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _OF_TRUTH = {  # heading, scale and format by the key of a summary
     "coverage95_position": ("inside 95 %", 100.0, "{:.1f} %"),
 }
 TRUTH_HEADINGS = tuple(heading for heading, *_ in _OF_TRUTH.values())
-"""Over the cells of `truth_cells`."""
+"""Headings of the columns of `truth_cells`."""
 
 
 class Console(RichConsole):
-    """A console which leaves it to `main` to end when nobody reads on.
+    """A console that raises BrokenPipeError for `main` to handle, and does not wrap files.
 
-    What is no terminal gets whole lines, unless the environment says how wide they may be.
+    Output that is not a terminal gets whole lines, unless the environment sets COLUMNS.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -40,12 +40,12 @@ class Console(RichConsole):
             self.width = _WIDE
 
     def on_broken_pipe(self) -> None:
-        """Raise what Rich would answer with an exit."""
+        """Raise BrokenPipeError, where Rich would exit."""
         raise BrokenPipeError
 
 
 def number_table(title: str, numbers: Sequence[str], *, left: Sequence[str] = ()) -> Table:
-    """A table whose columns of numbers stand to the right, after those that stand `left`."""
+    """A table with left-aligned columns `left`, then right-aligned columns of numbers."""
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
     for heading in left:
         table.add_column(heading, overflow="fold")
@@ -55,7 +55,7 @@ def number_table(title: str, numbers: Sequence[str], *, left: Sequence[str] = ()
 
 
 def site_table(title: str, headings: Sequence[str]) -> Table:
-    """A table with a row a site, which 80 columns hold; a long name folds, numbers do not."""
+    """A table with a row for each site, for 80 columns; long names are wrapped, numbers not."""
     table = Table(
         title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True
     )
@@ -68,7 +68,7 @@ def site_table(title: str, headings: Sequence[str]) -> Table:
 def truth_cells(
     summary: Mapping[str, float | None], keys: Sequence[str] = tuple(_OF_TRUTH)
 ) -> list[str]:
-    """Errors against truth, as of `Errors.summary`; what truth does not tell is –.
+    """Cells for the errors of an `Errors.summary`; – for errors that truth does not determine.
 
     >>> truth_cells({"position_rmse": 0.00123, "rotation_rmse": None}, ("position_rmse",))
     ['1.23']
@@ -78,7 +78,7 @@ def truth_cells(
 
 
 def parameter_text(kind: str, value: Sequence[float], std: Sequence[float]) -> str:
-    """Values of a sensor parameter with their deviations and units; known ones have none.
+    """Values of a sensor parameter with standard deviations, unless these are 0, and units.
 
     >>> parameter_text("time_offset", [0.012], [0.0003])
     '12 ± 0.3 ms'

@@ -1,4 +1,4 @@
-"""`glissando design`: what a slide's stroke, speed, rate and coils are worth to a zone."""
+"""`glissando design`: uncertainty in zones over stroke, speed, rate and number of coils."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ _COILS = 100  # at most, on one slide
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "design", texts, _design)
     add = parser.add_argument
@@ -133,7 +133,7 @@ def _design(options: argparse.Namespace) -> int:
 
 
 def _require_sweep(options: argparse.Namespace) -> None:
-    """Raise for options that a comparison of slides cannot take."""
+    """Raise GlissandoError for options that have no effect on, or are invalid for, a sweep."""
     refuse_unused(options, "a design without --sensor", "budget", "places")
     if options.objective != "chance":
         refuse_unused(options, f"--objective {options.objective}", "bound")

@@ -1,4 +1,4 @@
-"""`glissando doctor`: what this installation has, and what is missing for which purpose."""
+"""`glissando doctor`: versions, optional packages, BLAS and serial devices of an installation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SLOW_MS = 1
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     parser = add_command(commands, "doctor", (_HELP, _EXAMPLES), _doctor)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -44,10 +44,10 @@ def _doctor(options: argparse.Namespace) -> int:
 
 
 def advice(findings: dict[str, Any]) -> list[str]:
-    """The findings as lines of text, with a remedy for each that is wrong.
+    """Findings as lines of text, with a remedy for each problem.
 
     Args:
-        findings: What `glissando.evaluation.environment.system` returns.
+        findings: Result of `glissando.evaluation.environment.system`.
     """
     lines = [f"{name} {number}" for name, number in findings["versions"].items()]
     lines.append(f"{findings['platform']}, {findings['cores']} cores")

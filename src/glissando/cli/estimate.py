@@ -1,4 +1,4 @@
-"""`glissando estimate`: a posterior, its table against truth, and its figures."""
+"""`glissando estimate`: the posterior of a recording, its errors against truth, and figures."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ exit status: 0 done; 1 the estimate did not converge; 2 something given was wron
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     texts = _ESTIMATE_HELP, _ESTIMATE_EXAMPLES
     estimate = add_command(commands, "estimate", texts, _estimate)
     estimate.set_defaults(figures=True)
@@ -117,18 +117,18 @@ def _estimate(options: argparse.Namespace) -> int:
     return 0 if run.posterior.solve.converged else 1
 
 
-_ENOUGH, _FALSE = 50, 0.7  # samples of truth, and the share inside 95 % that is warned of
-_SHOWN = 5  # times of readings that were not used
-_NEEDED = {"h5netcdf": "netcdf", "h5py": "netcdf", "matplotlib": "plot"}  # by --out, of an extra
+_ENOUGH, _FALSE = 50, 0.7  # least samples of truth, and least share inside 95 %, for no warning
+_SHOWN = 5  # times shown of rejected readings
+_NEEDED = {"h5netcdf": "netcdf", "h5py": "netcdf", "matplotlib": "plot"}  # extras, for --out
 
 
 def _pulled(run: Run) -> bool:
-    """Whether tendons pull the robot, as its file or a stream of theirs says."""
+    """Whether the robot file has tendons, or some readings are of tendons, which span the robot."""
     return run.robot.tendons is not None or any(r.spans for r in run.readings)
 
 
 def _warn_of_truth(run: Run) -> None:
-    """Say on stderr where truth lies outside far more often than is claimed."""
+    """Warn on stderr if far less than 95 % of truth lies inside the 95 % ellipsoids."""
     if not run.errors:
         return
     errors = pool(run.errors)
@@ -142,7 +142,7 @@ def _warn_of_truth(run: Run) -> None:
 
 
 def _print(run: Run, console: Console) -> None:
-    """Print a line on the solve, and a table with a row for each truth site and for all."""
+    """Print a line on the solve, and a table of errors with a row for each truth site and all."""
     solve = run.posterior.solve
     counted = "" if "iterations" in solve.status else f"{solve.iterations} iterations, "
     console.print(
@@ -182,7 +182,7 @@ def _print(run: Run, console: Console) -> None:
 def _checked_query(
     options: argparse.Namespace, recording: Recording, robot: Robot
 ) -> tuple[Array, Array]:
-    """Times and arclengths of the query, checked before any work is done."""
+    """Times (M,), s, and arclengths (M,), m, of the query, checked before the estimate."""
     time, arclength, lines = read_query(options.query)
     window = checked_window(recording, tuple(options.window) if options.window else None)
     inside = robot.grid(*window).contains(arclength, time)
@@ -202,7 +202,7 @@ def _checked_query(
 
 
 def _answers(options: argparse.Namespace) -> Path:
-    """The file that answers a query."""
+    """Path of the file with the answers to a query."""
     return (options.out or Path()) / "query.csv"
 
 
@@ -219,7 +219,7 @@ def _write(
     scan: ContactScan | None,
     more: dict[str, Any],
 ) -> list[Path]:
-    """Write all that was asked for; in --out nothing of an earlier run stays beside it."""
+    """Write the requested files, and delete those of an earlier run in --out."""
     if options.out is None:
         if query is not None:
             write_query(run.posterior, query, _answers(options), loads=options.loads)

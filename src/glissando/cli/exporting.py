@@ -41,7 +41,7 @@ exit status: 0 done; 2 something given was wrong.
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "export", texts, _export)
     add = parser.add_argument
@@ -71,7 +71,7 @@ def _export(options: argparse.Namespace) -> int:
 
 def _export_stream(options: argparse.Namespace) -> int:
     recording = load_recording(options.posterior)
-    recording.span()  # which says if there is nothing to write
+    recording.span()  # raises if there are no rows
     if options.stream not in recording.streams:
         raise GlissandoError(
             f"{options.posterior} is a recording: say with --stream which of "

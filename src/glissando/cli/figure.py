@@ -1,4 +1,4 @@
-"""`glissando figure`: one figure of a posterior, for a page or a paper."""
+"""`glissando figure`: one figure of a posterior, for a report or a paper."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ examples:
 
 exit status: 0 done; 1 the estimate did not converge; 2 something given was wrong.
 """
-_LARGEST = 100.0  # points of text
+_LARGEST = 100.0  # largest font size, points
 _KINDS = ("shape", "confidence", "error", "contacts")
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     parser = add_command(commands, "figure", (_HELP, _EXAMPLES), _figure)
     add = parser.add_argument
     add("kind", choices=_KINDS, metavar="|".join(_KINDS), help="what to draw")
@@ -98,7 +98,7 @@ def _figure(options: argparse.Namespace) -> int:
 
 
 def _look(options: argparse.Namespace) -> dict[str, Any]:
-    """Size and style of the figure, as its function takes them."""
+    """Keyword arguments `size` (inches) and `style` of the functions that draw figures."""
     size = [number("--size", text) / INCH for text in options.size or ()]
     least, most = SIDES
     if options.size is not None and (

@@ -1,4 +1,4 @@
-"""`glissando import`: other people's files become a recording."""
+"""`glissando import`: files of other programs are written as a recording."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ exit status: 0 done; 2 something given was wrong.
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "import", texts, _import)
     add = parser.add_argument
@@ -111,7 +111,7 @@ def _import(options: argparse.Namespace) -> int:
 
 
 def _import_estimate(options: argparse.Namespace) -> int:
-    """Write a run that `report` takes, of somebody else's estimate."""
+    """Write the report of an estimate of another program, which `glissando report` reads."""
     refuse_unused(options, "--estimate", "shift", "kind", "topic")
     if not options.arclength:
         refuse_unused(options, "--estimate without --arclength", "rate", "columns")
@@ -151,7 +151,7 @@ def _import_estimate(options: argparse.Namespace) -> int:
 
 
 def _next(folder: Path, recording: Recording, truth: bool) -> str:
-    """What to do with a recording that was imported."""
+    """Sentence with the next command for an imported recording."""
     given = quote(str(folder))
     unknown, used = sorted(recording.unknown_frames), recording.choose(None, None)[0]
     if not unknown and {recording.streams[name].rows.kind for name in used} == {"tendon"}:
@@ -175,7 +175,7 @@ def _next(folder: Path, recording: Recording, truth: bool) -> str:
 
 
 def _mappings(given: list[str], files: list[Path], paths: list[Path]) -> dict[str, str]:
-    """The mapping of columns of each file by its name; one without a name is for all files."""
+    """Mapping of columns of each file, by its name; one without a name applies to all files."""
     known = [file.name for file in (*files, *paths)]
     out: dict[str, str] = {}
     for text in given:
@@ -190,10 +190,10 @@ def _mappings(given: list[str], files: list[Path], paths: list[Path]) -> dict[st
 
 
 def pairs(text: str) -> dict[str, str]:
-    """The values by name in `NAME=VALUE,…`.
+    """Parse `NAME=VALUE,…` into values by name.
 
     Raises:
-        GlissandoError: A part is no NAME=VALUE.
+        GlissandoError: A part is not of the form NAME=VALUE.
     """
     values = {}
     for part in names(text):
@@ -205,10 +205,10 @@ def pairs(text: str) -> dict[str, str]:
 
 
 def number(option: str, text: str) -> float:
-    """A finite number of an option.
+    """Parse the text of an option as a finite number.
 
     Raises:
-        GlissandoError: The text is none.
+        GlissandoError: The text is not a finite number.
     """
     try:
         value = float(text)
@@ -226,7 +226,7 @@ def _place(text: str) -> float | Path:
 
 
 def _rates(text: str, files: list[Path]) -> dict[str, float]:
-    """Rate of each file by its name."""
+    """Rate, Hz, of each file, by its name."""
     if "=" not in text:
         return {f.name: number("--rate", text) for f in files} if text else {}
     rates = {name: number("--rate", value) for name, value in pairs(text).items()}

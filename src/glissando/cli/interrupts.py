@@ -1,4 +1,4 @@
-"""Ctrl-C inside a compiled kernel, of which numba makes a SystemError."""
+"""Handling of Ctrl-C, which numba turns into a SystemError inside a compiled kernel."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from glissando.errors import is_interrupt
 
 @contextmanager
 def until_interrupted() -> Iterator[None]:
-    """Go on after the block when Ctrl-C ends it, also inside a kernel."""
+    """Context that Ctrl-C ends without an exception, also inside a kernel."""
     try:
         yield
     except (KeyboardInterrupt, SystemError) as problem:

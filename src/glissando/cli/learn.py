@@ -1,4 +1,4 @@
-"""`glissando learn`: the numbers of a robot file from recordings."""
+"""`glissando learn`: hyperparameters of a robot file, learned from recordings."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.table import Table
 
-_STEPS = 20  # unless told otherwise
+_STEPS = 20  # default of --steps
 _HELP = """\
 Learn the numbers of a robot file from recordings: densities, time scale, strength by segment,
 noise, drifts; of a mechanical prior loads and weights. Without truth, the numbers that make the
@@ -60,7 +60,7 @@ is written.
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "learn", texts, _learn)
     add = parser.add_argument
@@ -88,9 +88,9 @@ def add_to(commands: Commands) -> None:
 
 def _learn(options: argparse.Namespace) -> int:
     recordings = [load_recording(folder) for folder in options.recordings]
-    robot = load_robot(options.robot)  # which says what is wrong with it
+    robot = load_robot(options.robot)  # raises if it is invalid
     document = expanded(read_robot_document(robot_file(options.robot)))
-    document.pop("tube", None)  # it was calibrated for the numbers of before
+    document.pop("tube", None)  # it was calibrated for the initial file
     _require_writable(options)
     if is_of_tendons(recordings, options):
         return learn_from_tendons(recordings, document, options)
@@ -111,7 +111,7 @@ def _learn(options: argparse.Namespace) -> int:
         try:
             with working("judging what was learned"):
                 report["held_out"] = judged(files, cases, options)
-        except GlissandoError as problem:  # which takes nothing from what was learned
+        except GlissandoError as problem:  # the learned file stays valid
             unjudged = str(problem)
     if options.json:
         print(json.dumps(report))
@@ -124,7 +124,7 @@ def _learn(options: argparse.Namespace) -> int:
 def _searched(
     document: Document, cases: list[RecordingCase], options: argparse.Namespace
 ) -> tuple[Document, Learned, dict[str, Array]]:
-    """The file to learn from, what is learned, and deviations (6,) of constants found first."""
+    """Initial document, result of learning, and std (6,) of each constant located before."""
     parameters = _parameters(document, cases, options)
     constants: tuple[SensorParameter, ...] = ()
     std: dict[str, Array] = {}
@@ -154,7 +154,7 @@ def _searched(
 
 
 def _longest_first(cases: list[RecordingCase]) -> list[RecordingCase]:
-    """The case with most rows of truth, in which constants are found, and then the others."""
+    """Cases with the one of most rows of truth, in which constants are located, moved first."""
 
     def rows(case: RecordingCase) -> int:
         times = (case.recording.stream(name).rows.time for name in case.predict)
@@ -170,7 +170,7 @@ def _longest_first(cases: list[RecordingCase]) -> list[RecordingCase]:
 
 
 def _ended(result: Learned, unjudged: str, options: argparse.Namespace) -> int:
-    """Say on stderr what did not go as it should; the exit status."""
+    """Print warnings about the search on stderr, and return the exit status."""
     if result.at_bounds:
         numbers = "; ".join(result.at_bounds)
         say(
@@ -193,7 +193,7 @@ def _ended(result: Learned, unjudged: str, options: argparse.Namespace) -> int:
 
 
 def _examine(case: RecordingCase, robot: Robot, options: argparse.Namespace) -> None:
-    """Refuse what readings and truth of a case cannot be, and warn of what they hardly can."""
+    """Check the readings and truth of a case: raise for impossible data, warn of implausible."""
     use, truth = with_rows(case.use, case, case.window), [*case.predict, *(options.hold_out or ())]
     readings, references, _ = chosen_streams(case.recording, robot, case.window, use, truth)
     streams = readings, references, case.window, options.allow
@@ -203,7 +203,7 @@ def _examine(case: RecordingCase, robot: Robot, options: argparse.Namespace) -> 
 
 
 def _require_one_way(options: argparse.Namespace) -> None:
-    """Raise unless constants are found in one way, or in none, and there is truth to find them."""
+    """Raise if both --calibrate and --joint are given, or one of them without --truth."""
     for flag in ("calibrate", "joint"):
         if getattr(options, flag) and not options.truth:
             raise GlissandoError(
@@ -214,14 +214,14 @@ def _require_one_way(options: argparse.Namespace) -> None:
 
 
 def _steps(options: argparse.Namespace) -> int:
-    """Steps at most; None tells an option that was not given."""
+    """Largest number of steps: --steps, or its default."""
     return _STEPS if options.steps is None else options.steps
 
 
 def _parameters(
     document: Document, cases: list[RecordingCase], options: argparse.Namespace
 ) -> list[Parameter]:
-    """The numbers to learn; says of which noise nothing can be learned."""
+    """Hyperparameters to learn; prints the kinds of sensor whose noise cannot be learned."""
     kinds, silent = _kinds(document, cases)
     everything = learnable(document, kinds, alike=options.alike)
     for kind, why in silent.items():
@@ -245,7 +245,7 @@ def _parameters(
 
 
 def _kinds(document: Document, cases: list[RecordingCase]) -> tuple[list[str], dict[str, str]]:
-    """Kinds of sensors whose noise can be learned; and of the others, why it cannot."""
+    """Kinds of sensor whose noise can be learned, and the reason for each other kind."""
     silent: dict[str, str] = {}
     streams = [case.recording.streams[name] for case in cases for name in case.use]
     kinds = list(dict.fromkeys(stream.rows.kind for stream in streams))
@@ -262,7 +262,7 @@ def _kinds(document: Document, cases: list[RecordingCase]) -> tuple[list[str], d
 
 
 def _matches(label: str, only: list[str]) -> bool:
-    """Whether a number's name contains all words of one of those asked for."""
+    """Whether a label contains all words of one of the entries of --only."""
     return any(all(word in label for word in words.split()) for words in only)
 
 
@@ -290,7 +290,7 @@ def _case(recording: Recording, options: argparse.Namespace) -> RecordingCase:
 
 
 def _with_constants(result: Learned) -> Document:
-    """The learned document with the constants of the truth as known sensor parameters."""
+    """The learned document with the constants of truth streams as known sensor parameters."""
     document = dict(result.document)
     known = [
         {"name": c.name, "kind": c.kind, "streams": list(c.streams), "value": c.value.tolist()}

@@ -1,4 +1,4 @@
-"""How `glissando learn` judges what it has learned by truth that it was not learned from."""
+"""Validation of `glissando learn` with truth that was not used for learning."""
 
 from __future__ import annotations
 
@@ -17,13 +17,22 @@ from glissando.evaluation.run import checked_window, run_estimate
 from glissando.io.robot_file import parse_robot
 from glissando.model.table import Table
 
-_LEAST_INSIDE = 0.85  # of truth inside 95 %, of a file that is not too sure
+_LEAST_INSIDE = 0.85  # least share of truth inside 95 %, for no warning
 
 
 def judged(
     files: dict[str, Document], cases: list[RecordingCase], options: argparse.Namespace
 ) -> list[dict[str, Any]]:
-    """Errors against truth that was not learned from, with each file, from the cases' sensors."""
+    """Errors of estimates from the cases' sensors against held-out truth, with each robot file.
+
+    Args:
+        files: Robot documents by name.
+        cases: Recordings that were learned from.
+        options: Options of `glissando learn`.
+
+    Returns:
+        A summary of errors for each recording with such truth and each file.
+    """
     found = []
     for case in cases:
         window = checked_window(case.recording, options.window)
@@ -43,7 +52,7 @@ def judged(
 
 
 def warn_of_confidence(report: dict[str, Any], options: argparse.Namespace) -> None:
-    """Say on stderr where what was learned is too sure of truth, or where no truth judges it."""
+    """Warn on stderr if the learned file is overconfident on held-out truth, or has no truth."""
     if "held_out" not in report:
         return
     for errors in report["held_out"]:
@@ -65,11 +74,11 @@ def warn_of_confidence(report: dict[str, Any], options: argparse.Namespace) -> N
 def with_rows(
     streams: Sequence[str], case: RecordingCase, window: tuple[float, float]
 ) -> list[str]:
-    """Those of a case's streams that have rows in a window."""
+    """Names of streams that have rows in a window."""
     times = {name: case.recording.stream(name).rows.time for name in streams}
     return [name for name, t in times.items() if np.any((t >= window[0]) & (t <= window[1]))]
 
 
 def _unlearned(case: RecordingCase, window: tuple[float, float]) -> list[str]:
-    """What is marked as truth, where none was learned from."""
+    """Names of streams marked as truth, if the case was learned without truth; else none."""
     return [] if case.predict else with_rows(case.recording.choose(None, None)[1], case, window)

@@ -1,4 +1,4 @@
-"""What `glissando learn` says of what it has learned."""
+"""Output of `glissando learn`: results as JSON and as tables."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from glissando.model.table import Table
 
 
 def as_json(result: Learned, out: Path) -> dict[str, Any]:
-    """What was learned, as one object."""
+    """Result of learning as one JSON object."""
     return {
         "out": str(out),
         "objective_before": result.before.value,
@@ -36,12 +36,15 @@ def as_json(result: Learned, out: Path) -> dict[str, Any]:
 
 
 def steps_of(result: Learned) -> str:
-    """How many steps the search took, in words."""
+    """Number of steps of the search, in words."""
     return f"{result.steps} step{'s' if result.steps > 1 else ''}"
 
 
 def _way(parameter: Parameter, moved: float, std: float) -> dict[str, float | None]:
-    """How far a number went, and how well it is known: by a factor, or by a shift in its unit."""
+    """Change of a hyperparameter and its std: a factor and log std, or a shift in its unit.
+
+    The std is None if the recordings do not determine the hyperparameter.
+    """
     known = None if math.isinf(std) else std
     if parameter.unit is None:
         return {"factor": math.exp(moved), "log_std": known}
@@ -50,7 +53,7 @@ def _way(parameter: Parameter, moved: float, std: float) -> dict[str, float | No
 
 
 def _cells(way: dict[str, Any]) -> tuple[str, str]:
-    """The same, for a table."""
+    """Change and std of a hyperparameter as cells of a table."""
     if "shift" in way:
         within = "–" if way["std"] is None else f"± {way['std']:.3g}"
         return f"{way['shift']:+.3g}", within
@@ -59,7 +62,7 @@ def _cells(way: dict[str, Any]) -> tuple[str, str]:
 
 
 def print_report(result: Learned, report: dict[str, Any], std: dict[str, Array]) -> None:
-    """Print what was learned, with standard deviations of constants by name."""
+    """Print the result of learning, with standard deviations (6,) of constants by name."""
     console = Console()
     table = number_table("What was learned", ("value", "moved", "known within"), left=("number",))
     for p in report["parameters"]:

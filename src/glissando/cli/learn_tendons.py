@@ -1,4 +1,4 @@
-"""The part of `glissando learn` for recordings of tendons and a marker at the tip."""
+"""Learning of [tendons] and [mechanics] by `glissando learn`, from tendons and a tip marker."""
 
 from __future__ import annotations
 
@@ -27,15 +27,16 @@ from glissando.io.robot_file import load_robot
 from glissando.model.robot import Robot
 from glissando.model.tendons.replicate import TIP
 
-_TURNED, _SHIFTED = np.radians(3.0), 5e-3  # of a stated frame, rad and m, beyond which it is said
-_POOR = 0.25  # of how far the tip moves: errors that large are no robot of this file's kind
+_TURNED, _SHIFTED = np.radians(3.0), 5e-3  # rad, m: smaller changes of a frame are not reported
+_POOR = 0.25  # share of the tip's motion: larger errors mean that the model does not fit
 _UNHEEDED = ("use", "truth", "hold_out", "only", "calibrate", "joint", "alike", "steps")
 
 
 def is_of_tendons(recordings: Sequence[Recording], options: argparse.Namespace) -> bool:
-    """Whether it is [tendons] and [mechanics] that recordings are to teach.
+    """Whether to learn [tendons] and [mechanics] from these recordings.
 
-    Others than tendons and the tip may be there too; options for these say that they count.
+    That is so if tendons and the tip are the only streams, or if there are others but no option is
+    given that applies to those.
     """
     streams = [s for recording in recordings for s in recording.streams.values()]
     if not any(stream.rows.kind == "tendon" for stream in streams):
@@ -48,15 +49,18 @@ def is_of_tendons(recordings: Sequence[Recording], options: argparse.Namespace) 
 def learn_from_tendons(
     recordings: Sequence[Recording], document: Document, options: argparse.Namespace
 ) -> int:
-    """Learn [tendons] and [mechanics], write the robot file, and say how far it errs.
+    """Learn [tendons] and [mechanics], write the robot file, and print its errors.
 
     Args:
         recordings: Recordings, each with a stream of kind tendon and positions named tip.
-        document: The robot file to start from.
-        options: Those of the command.
+        document: Document of the robot file to start from.
+        options: Options of `glissando learn`.
+
+    Returns:
+        Exit status.
 
     Raises:
-        RecordingError: A recording lacks one of the streams.
+        RecordingError: A recording lacks one of the streams, or an option has no effect.
     """
     _require_effect(options)
     window = options.window or (-np.inf, np.inf)
@@ -89,7 +93,7 @@ def learn_from_tendons(
 
 
 def _frame_moved(before: Robot, learned: Robot) -> str:
-    """A sentence where the frame that a file stated of the marker's tracker fits no longer."""
+    """A sentence if learning changed the stated frame of the marker's tracker, else empty."""
     if not any(p.kind == "frame" and TIP in p.streams for p in before.sensor_parameters):
         return ""
     poses = [se3.exp(robot.stated_transform("frame", TIP)) for robot in (before, learned)]
@@ -105,7 +109,7 @@ def _frame_moved(before: Robot, learned: Robot) -> str:
 
 
 def _require_effect(options: argparse.Namespace) -> None:
-    """Raise if an option is given that learning from tendons does not heed."""
+    """Raise RecordingError if an option is given that has no effect on learning from tendons."""
     given = _given(options)
     if given:
         raise RecordingError(
@@ -116,7 +120,7 @@ def _require_effect(options: argparse.Namespace) -> None:
 
 
 def _given(options: argparse.Namespace) -> list[str]:
-    """The options given that learning from tendons does not heed."""
+    """Names of given options that have no effect on learning from tendons."""
     return [name for name in _UNHEEDED if getattr(options, name) not in (None, False)]
 
 
@@ -125,7 +129,7 @@ def _is_tip(stream: Stream) -> bool:
 
 
 def _rows(recording: Recording, start: float, stop: float) -> tuple[Array, Array]:
-    """Displacements (M, T) and positions (M, 3) of the times in a window that both streams have."""
+    """Displacements (M, T) and tip positions (M, 3), m, at the common times in a window."""
     streams = recording.streams.values()
     tendons = next((s.rows for s in streams if s.rows.kind == "tendon"), None)
     tip = next((s.rows for s in streams if _is_tip(s)), None)
@@ -149,7 +153,7 @@ def _rows(recording: Recording, start: float, stop: float) -> tuple[Array, Array
 
 
 def _document(document: Document, robot: Robot) -> Document:
-    """The robot file with the numbers of a learned robot."""
+    """Copy of a robot document with the values of a learned robot."""
     assert robot.tendons is not None
     prior = robot.prior.to_table()
     sensors = dict(document.get("sensors", {}))

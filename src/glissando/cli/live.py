@@ -1,4 +1,4 @@
-"""`glissando live`: sensors in, the newest shape with its confidence out, at a steady rate."""
+"""`glissando live`: online estimation from live sensors, with updates at a constant rate."""
 
 from __future__ import annotations
 
@@ -73,16 +73,16 @@ Ctrl-C ends it.
 exit status: 0 ended by Ctrl-C, --duration or the end of all sources; 2 a peer stayed silent, or
 something given was wrong.
 """
-_SIMULATED = "simulate"  # the source that is a simulated rig
+_SIMULATED = "simulate"  # name of the source that is a simulated rig
 _SOURCES = f"{SOURCES}, a rig's setup file, or {_SIMULATED}"
-_RECENT = 300  # updates that the status is of
-_SAME = 0.01  # of its length, by which files of one robot may differ
-_DAY = 86_400.0  # s that a slide is replanned at most
+_RECENT = 300  # newest updates, over which the status is computed
+_SAME = 0.01  # largest relative difference of lengths of one robot
+_DAY = 86_400.0  # s, longest time that a slide is replanned
 _PLAIN, _TERMINAL = 5.0, 0.2  # s between statuses
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     parser = add_command(commands, "live", (_HELP, _EXAMPLES), _live)
     add = parser.add_argument
     add("--robot", metavar="FILE|NAME", help="robot file or shipped robot (default: a recording's)")
@@ -154,7 +154,7 @@ def _run(options: argparse.Namespace, devices: ExitStack) -> int:
 
 
 def _refuse_idle(options: argparse.Namespace, rigs: Sequence[Rig]) -> None:
-    """Refuse options that say nothing to any source."""
+    """Raise GlissandoError for options that have no effect on any source."""
     moves = any(rig.further or (rig.stage and not options.replan) for rig in rigs)
     without = "--replan" if options.replan else "sources without a stage"
     refuse_idle_slide(options, without, moves=moves)
@@ -164,7 +164,7 @@ def _refuse_idle(options: argparse.Namespace, rigs: Sequence[Rig]) -> None:
 
 @contextmanager
 def _beside() -> Iterator[Executor]:
-    """A process that computes beside this one, begun when it is first given something."""
+    """Executor of one worker process, which starts when the first task is submitted."""
     context = multiprocessing.get_context("spawn")
     executor = ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent)
     try:
@@ -185,7 +185,7 @@ def _rig_source(rig: Rig, robot: Robot, options: argparse.Namespace) -> RigSourc
 def _replanning(
     rigs: dict[str, Rig], sources: dict[str, RigSource], robot: Robot, zones: list[str]
 ) -> Replanning:
-    """The sink that steers the only rig."""
+    """Sink that replans the slide of the only rig."""
     if len(rigs) != 1:
         raise GlissandoError(
             f"--replan steers the slide of a rig, and {len(rigs)} are among the sources; give one "
@@ -200,14 +200,14 @@ def _is_rig(text: str) -> bool:
 
 
 def _rig(text: str, devices: ExitStack) -> Rig:
-    """The rig of a setup file, or a simulated one that lives as long as the stack."""
+    """Rig of a setup file, or a simulated one, which stops when the stack closes."""
     if text == _SIMULATED:
         return devices.enter_context(simulated_rig())
     return load_rig(text)
 
 
 def _robot(options: argparse.Namespace, rigs: dict[str, Rig]) -> Robot:
-    """The robot that was given, or the one that a rig or a recording among the sources names."""
+    """Robot of --robot, else the robot named by a rig or a recording among the sources."""
     if not options.source:
         raise GlissandoError(f"A live estimate needs readings; give --source: {_SOURCES}.")
     if options.robot:
@@ -231,7 +231,7 @@ def _robot(options: argparse.Namespace, rigs: dict[str, Rig]) -> Robot:
 
 
 class _Status:
-    """A line about the session on stderr: renewed on a terminal, else one every five seconds."""
+    """Status line of the session on stderr: updated on a terminal, else every five seconds."""
 
     def __init__(self, session: LiveSession) -> None:
         self._session, self._console = session, Console(stderr=True)
@@ -254,13 +254,13 @@ class _Status:
             self._line.stop()
 
     def show(self, update: Update) -> None:
-        """Renew the line, if it is time to."""
+        """Count an update, and renew the line if it is due."""
         self._recent.append(update)
         self._count += 1
         self._renew(self._text)
 
     def _wait(self, why: str) -> None:
-        """Say why there is no reading yet."""
+        """Show why there is no reading yet."""
         self._renew(lambda: f"Waiting for the first reading ({why}); Ctrl-C ends it.")
 
     def _renew(self, text: Callable[[], str]) -> None:
@@ -288,7 +288,7 @@ class _Status:
         return ", ".join(filter(None, parts)) + "".join(f"; {text}" for text in last.problems)
 
     def _losses(self) -> str:
-        """What was left out so far, and why."""
+        """Counts of skipped updates, dropped readings and other losses so far."""
         session = self._session
         counts = {"updates skipped": session.skipped}
         for name, why in session.smoother.dropped.items():
@@ -298,7 +298,7 @@ class _Status:
         return ", ".join(f"{n} {name}" for name, n in counts.items() if n)
 
     def summary(self) -> str:
-        """What there was in all, as a sentence."""
+        """Summary of the session, as a sentence."""
         session, losses = self._session, self._losses()
         said = f"{self._count} updates{f' ({losses})' if losses else ''}."
         if session.journal_folder is None:

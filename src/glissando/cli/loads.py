@@ -1,4 +1,4 @@
-"""What acts on a robot, printed and written: expected loads, and contacts that are found."""
+"""Printing and writing of the loads on a robot, and of detected contacts."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ CONTACT_COLUMNS = [
     *("time", "arclength", "log_evidence", "log_evidence_anywhere", "threshold"),
     *(f"{what}_{axis}" for what in ("f", "std_f") for axis in "xyz"),
 ]
-"""Columns of contacts.csv: evidence at each place and time; of each time the force at the likeliest
-place, N in the body frame, and its std, NaN where the evidence is none."""
-_MOMENTS = 6  # of the window, in the table of loads
+"""Columns of contacts.csv: evidence at each arclength and time; for each time the force at the most
+likely arclength, N in the body frame, and its std, NaN without evidence."""
+_MOMENTS = 6  # number of times in the table of loads
 
 
 def scanned(posterior: Posterior) -> ContactScan:
-    """A scan for contacts at all time nodes, or at as many as a map shows."""
+    """Scan for contacts at all time nodes, or at as many of them as a map shows."""
     with working("looking for contacts"):
         return scan_contacts(posterior, mapped_times(posterior))
 
 
 def loads_json(posterior: Posterior, scan: ContactScan) -> dict[str, Any]:
-    """Loads and contacts as JSON holds them."""
+    """Loads and contacts for JSON, SI units."""
     std = np.sqrt(np.einsum("kii->ki", scan.cov))
     contacts = {
         "false_alarms": scan.false_alarms,
@@ -54,13 +54,13 @@ def loads_json(posterior: Posterior, scan: ContactScan) -> dict[str, Any]:
 def print_loads(
     posterior: Posterior, scan: ContactScan, console: Console, *, tendons: bool = False
 ) -> None:
-    """Print forces and moments with their standard deviations, and what touches the robot.
+    """Print forces and moments with their standard deviations, and detected contacts.
 
     Args:
-        posterior: The posterior.
-        scan: Its scan for contacts.
-        console: Where to print.
-        tendons: Whether tendons pull the robot, which counts as a touch.
+        posterior: Posterior with a mechanical prior.
+        scan: Scan of the posterior for contacts.
+        console: Console to print on.
+        tendons: Whether the robot has tendons, whose loads the scan may detect as contacts.
     """
     table = Table("time (s)", "arclength (m)", title="What acts on the robot, world frame")
     for what in ("force x, y, z (N)", "moment x, y, z (N m)"):
@@ -85,9 +85,9 @@ def print_loads(
 
 
 def _print_touch(posterior: Posterior, scan: ContactScan, console: Console) -> None:
-    """Print when, where and how hard something touches the robot, if anything does."""
+    """Print times, arclength and force of detected contacts, or that there are none."""
     touched, count = np.flatnonzero(scan.detected), scan.time.size
-    read = int(np.any(scan.log_ratio != 0.0, axis=-1).sum())  # others say nothing
+    read = int(np.any(scan.log_ratio != 0.0, axis=-1).sum())  # others have no reading near
     of = f"{count} times" if read == count else f"{read} times beside which something was read"
     chance = f"of {of}; a false alarm is one in {1.0 / scan.false_alarms:.3g}"
     if not touched.size:
@@ -141,12 +141,12 @@ def write_contacts(scan: ContactScan, folder: Path) -> list[Path]:
 
 
 def _known(values: Array) -> list[list[float] | None]:
-    """Rows of numbers as JSON holds them; None for those that are not known."""
+    """Rows of numbers for JSON; None for rows with NaN."""
     return [None if np.isnan(row).any() else row.tolist() for row in values]
 
 
 def _rows(posterior: Posterior) -> list[dict[str, Any]]:
-    """What acts where loads are expected at a few times of the window, world frame."""
+    """Loads at the arclengths where the prior has any, at a few times, in the world frame."""
     prior, nodes = require_mechanics(posterior.prior), posterior.grid.time
     places = load_places(prior, posterior.grid)
     rows = evenly_chosen(nodes.size, _MOMENTS)

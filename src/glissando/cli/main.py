@@ -1,4 +1,4 @@
-"""The command line: parses, runs a command, turns mistakes into one sentence and a status."""
+"""Entry point of the command line: parses, runs a command, reports errors and the exit status."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from glissando.errors import (
 )
 
 _OWN = (OldNameWarning, PlanWarning, FalseConfidenceWarning, OtherTimesWarning)
-_AGAIN = 0.05  # s after which an interrupt that was lost comes again
-_CLEAN_UP = 15.0  # s in which a second signal does not interrupt how the first one ends
+_AGAIN = 0.05  # s after which a lost interrupt is raised again
+_CLEAN_UP = 15.0  # s after a signal in which further ones do not interrupt the clean-up
 
 
 class _PrintCompletion(argparse.Action):
-    """Prints a script that completes words in a shell."""
+    """Action that prints a completion script for a shell."""
 
     def __call__(self, parser: argparse.ArgumentParser, *args: Any, **kwargs: Any) -> None:
 
@@ -46,7 +46,7 @@ class _PrintCompletion(argparse.Action):
 
 
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:
-    """The parser of the command line.
+    """Build the parser of the command line.
 
     Args:
         command: The only command whose module is imported; None for all.
@@ -70,7 +70,11 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line; returns its exit status."""
+    """Run a command line and return its exit status.
+
+    Args:
+        arguments: Words of the command line; None for those of the process.
+    """
     words = list(sys.argv[1:] if arguments is None else arguments)
     _spell_out()
     try:
@@ -78,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             others = import_plugins(words)
             command = next((word for word in others if not word.startswith("-")), "")
             options, unknown = build_parser(command).parse_known_args(others)
-            if unknown:  # with the usage of the command, not of all
+            if unknown:  # refused with the usage of this command
                 options.refuse(f"unrecognized arguments: {' '.join(unknown)}")
             options.words = others
             status = int(options.run(options))
@@ -91,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except GlissandoError as problem:
         say(f"glissando: {problem}")
         return 2
-    except BrokenPipeError:  # whoever read the output has read enough
+    except BrokenPipeError:  # the reader of the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as problem:
@@ -112,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _spell_out() -> None:
-    """Let stdout and stderr spell out the letters that their encoding lacks."""
+    """Let stdout and stderr escape characters that their encoding lacks."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -120,7 +124,7 @@ def _spell_out() -> None:
 
 @contextmanager
 def _stopped_by_signals(*, ends_process: bool = False) -> Iterator[None]:
-    """Let Ctrl-C, SIGTERM and SIGHUP interrupt once, and wait while all is put away."""
+    """Raise KeyboardInterrupt at the first Ctrl-C, SIGTERM or SIGHUP, and not during clean-up."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -134,13 +138,13 @@ def _stopped_by_signals(*, ends_process: bool = False) -> Iterator[None]:
         raise KeyboardInterrupt
 
     def again() -> None:
-        if hasattr(signal, "pthread_kill"):  # which ends a sleep, too
+        if hasattr(signal, "pthread_kill"):  # interrupts a sleep, too
             signal.pthread_kill(threading.main_thread().ident or 0, heeded[0])
         else:
             signal.raise_signal(heeded[0])
 
     def unraisable(lost: Any) -> None:
-        if isinstance(lost.exc_value, KeyboardInterrupt):  # it came in a destructor: once more
+        if isinstance(lost.exc_value, KeyboardInterrupt):  # raised in a destructor: raise it again
             requests.clear()
             threading.Timer(_AGAIN, again).start()
         else:
@@ -155,13 +159,13 @@ def _stopped_by_signals(*, ends_process: bool = False) -> Iterator[None]:
         yield
     finally:
         sys.unraisablehook = show_lost
-        for number, handler in before.items():  # nothing disturbs the end of a program
+        for number, handler in before.items():  # ignore signals while the program exits
             signal.signal(number, signal.SIG_IGN if requests and ends_process else handler)
 
 
 @contextmanager
 def _own_warnings_shown() -> Iterator[None]:
-    """Show each warning of an old name, a plan or false confidence as one line on stderr."""
+    """Show each of the package's own warnings in _OWN once, as a line on stderr."""
     shown: set[str] = set()
     with warnings.catch_warnings():
         show = warnings.showwarning

@@ -1,4 +1,4 @@
-"""What commands write: where it may go, never over data, and what it states of how it was made."""
+"""Outputs of commands: checks that they replace no data, and the provenance that reports state."""
 
 from __future__ import annotations
 
@@ -27,17 +27,18 @@ LEARNED = "# Learned from recordings by "
 def require_replaceable(
     option: str, out: Path, *inputs: str | Path | None, begins: Sequence[str] = ()
 ) -> None:
-    """Make sure, before any work is done, that a file to write replaces nobody's data.
+    """Require, before any work is done, that a file to write does not replace data.
 
     Args:
-        option: The option that names the file, such as --out.
+        option: Option that names the file, such as --out.
         out: File to write.
-        inputs: Files and folders that the command reads; None where one is not given.
-        begins: How files begin that the command writes; no other file is replaced, if given.
+        inputs: Files and folders that the command reads; None for one that is not given.
+        begins: First characters of files that the command writes; if given, an existing file is
+            replaced only if it begins with one of them.
 
     Raises:
-        GlissandoError: The file is one of the inputs, data in one of them or in a recording, or
-            none that this command writes.
+        GlissandoError: The file is one of the inputs, a data file in one of them or in a recording,
+            or is not one that this command writes.
     """
     if not out.exists():
         return
@@ -58,22 +59,22 @@ def require_replaceable(
 
 
 def _is_recording(folder: Path) -> bool:
-    """Whether a folder is a recording, described, a session's or of the public layout."""
+    """Whether a folder has a recording.toml, a session log or streams of the public layout."""
     described = any((folder / name).is_file() for name in (_TOML, LOG))
     return described or any(is_public(file) for file in folder.glob("*.csv"))
 
 
 def stated(options: argparse.Namespace, robot: Robot | None = None) -> dict[str, Any]:
-    """What a report states for `glissando rerun`: the words of the command, digests of its inputs.
+    """Provenance in a report, for `glissando rerun`: command line and digests of the inputs.
 
     Args:
-        options: The options of the command.
-        robot: The robot, where a recording may have brought it.
+        options: Options of the command.
+        robot: Robot used, which may be that of the recording.
 
     Returns:
         `request`, the words after `glissando` without --out; `inputs`, the SHA-256 of every file
-        that an option names, those of a folder by their names, a file by its option; `seed`, if
-        there is one.
+        that an option names, by option, and of the files in every such folder, by file name;
+        `seed`, if the command has one.
     """
     digests: dict[str, str] = {}
     for option, value in vars(options).items():
@@ -89,7 +90,7 @@ def stated(options: argparse.Namespace, robot: Robot | None = None) -> dict[str,
 
 
 def _without_out(words: list[str]) -> list[str]:
-    """The words of a command without `--out DIR`, so that results elsewhere are the same bytes."""
+    """Words of a command without `--out DIR`, so that reports do not depend on the folder."""
     words_left, left = [], iter(words)
     for word in left:
         flag, equals, _ = word.partition("=")
@@ -108,14 +109,14 @@ def _digests_of(path: Path, option: str) -> dict[str, str]:
 
 
 def require_writable(folder: Path, option: str = "--out") -> None:
-    """Make sure, before any work is done, that results can be written into a folder.
+    """Require, before any work is done, that results can be written into a folder.
 
     Args:
-        folder: The folder, which may not be there yet.
-        option: The option that names it, or a file in it.
+        folder: Folder, which may not exist yet.
+        option: Option that names the folder, or a file in it.
 
     Raises:
-        GlissandoError: If the folder cannot be made or written to.
+        GlissandoError: The folder cannot be created or written to.
     """
     for link in (folder, *folder.absolute().parents):
         if link.is_symlink() and not link.exists():
@@ -128,13 +129,13 @@ def require_writable(folder: Path, option: str = "--out") -> None:
 
 
 def require_results_folder(folder: Path) -> None:
-    """Make sure, before any work is done, that --out is a folder for results.
+    """Require, before any work is done, that --out is a folder for results.
 
     Args:
-        folder: The folder, which may not be there yet.
+        folder: Folder, which may not exist yet.
 
     Raises:
-        GlissandoError: If the folder cannot be made or written to, or is a recording, which other
+        GlissandoError: The folder cannot be created or written to, or is a recording, which other
             commands would then take for results.
     """
     require_writable(folder)
@@ -143,11 +144,11 @@ def require_results_folder(folder: Path) -> None:
 
 
 def write_robot(document: dict[str, Any], start: str, out: Path) -> None:
-    """Write a learned robot file, whole or not at all, with a line that says what it came from.
+    """Write a learned robot file, whole or not at all, with a comment on its origin.
 
     Args:
-        document: The robot file.
-        start: Robot that it began with.
+        document: Document of the robot file.
+        start: Name or file of the robot from which learning started.
         out: File to write.
     """
     header = f"{LEARNED}{made_by()}, beginning with {start}, without its comments.\n"

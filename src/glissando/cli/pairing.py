@@ -1,4 +1,4 @@
-"""A posterior belongs to a recording only if it is of the same robot and time."""
+"""Checks that a posterior was estimated from a recording: same robot, time and readings."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from glissando.io.provenance import digests
 from glissando.model.robot import Robot
 from glissando.model.seconds import seconds
 
-_ALIKE = 1e-6  # of a length, for rounding
+_ALIKE = 1e-6  # relative tolerance of lengths, for rounding
 
 
 def require_pair(
     posterior: Posterior, robot: Robot, name: str, window: tuple[float, float]
 ) -> None:
-    """Make sure that a posterior can be of a recording.
+    """Require that a posterior and a recording agree in the robot's length and overlap in time.
 
     Args:
-        posterior: The posterior.
-        robot: The recording's robot.
-        name: Name of the recording.
-        window: First and last time of the recording that counts, s.
+        posterior: Posterior to check.
+        robot: Robot of the recording.
+        name: Name of the recording, for messages.
+        window: First and last time of the recording, s.
 
     Raises:
-        GlissandoError: Its robot has another length, or no time is in both.
+        GlissandoError: The robots differ in length, or the times do not overlap.
     """
     length, time = float(posterior.grid.arclength[-1]), posterior.grid.time
     if abs(length - robot.length) > _ALIKE * robot.length:
@@ -43,16 +43,19 @@ def require_pair(
 
 
 def other_readings(saved: Path, folder: Path) -> str:
-    """A sentence, if a recording's readings are not those that a posterior was estimated from.
+    """A sentence if a recording's files differ from those that a posterior was estimated from.
 
     Args:
-        saved: The posterior, the report of its estimate beside it or not.
-        folder: The recording.
+        saved: File of the posterior, with the report of its estimate beside it.
+        folder: Folder of the recording.
+
+    Returns:
+        The sentence; empty if the files are the same, or if there is no report to compare with.
     """
     try:
         report = json.loads(plain_text(saved.with_name("report.json")))
         known = {f"{name}.csv": report["inputs"][f"{name}.csv"] for name in report["readings"]}
-    except (OSError, ValueError, KeyError, TypeError):  # of before, or of others: nobody knows
+    except (OSError, ValueError, KeyError, TypeError):  # no report, or of an older version
         return ""
     present = digests(folder / name for name in known if (folder / name).is_file())
     differ = [name for name, digest in present.items() if digest != known[name]]

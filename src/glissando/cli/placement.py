@@ -1,4 +1,4 @@
-"""`glissando design --sensor`: which sensors to buy and where to put them."""
+"""`glissando design --sensor`: selection and placement of sensors within a budget."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from glissando.planning.zones import read_zone
 from glissando.visualization.canvas import save_figure
 from glissando.visualization.planning_figures import placement_figure
 
-_LEVELS = 6  # budgets that are tried up to the largest
-_PLACES = 1000  # along the body
-_SENSORS = 6.0  # of the cheapest kind, that the default budget buys
+_LEVELS = 6  # number of budgets up to the largest
+_PLACES = 1000  # most candidate arclengths along the body
+_SENSORS = 6.0  # default budget, in units of the cheapest sensor
 
 
 def place(options: argparse.Namespace) -> int:
-    """Choose sensors for each budget; print, and write if asked."""
+    """Choose sensors for each budget, print them, and write them to --out; returns 0."""
     if options.objective != "trace":
         raise GlissandoError(f"Sensors are placed by trace, not by {options.objective}.")
     if all(text.partition("=")[0] != SLIDE for text in options.sensor):
@@ -74,7 +74,7 @@ def place(options: argparse.Namespace) -> int:
 
 
 def _candidates(robot: Robot, text: str, options: argparse.Namespace) -> list[Candidate]:
-    """The candidates of KIND=COST[:STD]."""
+    """Candidate sensors of a text KIND=COST[:STD] of --sensor."""
     kind, _, numbers = text.partition("=")
     cost, _, noise = numbers.partition(":")
     try:

@@ -1,4 +1,4 @@
-"""`glissando plan`: paths of the slide, or of robot and slides together among obstacles."""
+"""`glissando plan`: paths of the slide, or motions of robot and slides among obstacles."""
 
 from __future__ import annotations
 
@@ -82,12 +82,12 @@ _OF_ZONES = (
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     parser = add_command(commands, "plan", (_HELP, _EXAMPLES), _plan)
     add = parser.add_argument
     add("--from", dest="posterior", type=Path, metavar="POSTERIOR", help="go on from its end")
     add_task(parser, zones_required=False)
-    parser.set_defaults(robot=None)  # as it has to be given beside --from
+    parser.set_defaults(robot=None)  # must be given with --from
     add("--scene", type=Path, metavar="FILE", help="obstacles, targets, limits of the actuators")
     add("--figure", default="png", choices=("png", "pdf", "svg"), help="of --scene (default png)")
     add("--start", type=float, metavar="M", help="arclength now (default: drawn out)")
@@ -125,7 +125,7 @@ def _plan(options: argparse.Namespace) -> int:
 
 
 def _plan_slide(options: argparse.Namespace) -> int:
-    """Plan the path of the slide, compare it with others, and say so."""
+    """Plan the path of the slide, compare it with baselines, and print or write the result."""
     zones = [read_zone(text) for text in options.zone]
     robot = load_robot(options.robot)
     objective = objective_named(options.objective, options.bound, robot.length)
@@ -186,7 +186,7 @@ def _plan_slide(options: argparse.Namespace) -> int:
 
 
 def _source(options: argparse.Namespace, robot: Robot) -> Posterior | Robot:
-    """What is planned from: the estimate of --from, which must be of this robot, or the robot."""
+    """Belief to plan from: the posterior of --from, checked against the robot, or the robot."""
     if not options.posterior:
         return robot
     posterior = load_posterior(options.posterior)
@@ -195,7 +195,7 @@ def _source(options: argparse.Namespace, robot: Robot) -> Posterior | Robot:
 
 
 def _warn_of_better(results: Mapping[str, PathEvaluation]) -> None:
-    """Warn if a path that ignores the zones does better than the plan."""
+    """Warn if a baseline path has a lower objective than the plan."""
     best = min(results, key=lambda name: results[name].value)
     if best != "planned":
         warnings.warn(
@@ -214,7 +214,7 @@ def _write(
     zones: list[Zone],
     paths: dict[str, Array],
 ) -> None:
-    """Write path.csv, plan.json and plan.png, and plan.gif if asked."""
+    """Write path.csv, plan.json and plan.png, and plan.gif with --animate."""
     knots, head = np.column_stack(plan.knots()), ("time", "arclength", "speed")
     shown = {name: paths[name] for name in ("planned", "oscillating", "fixed")}
     with renewed_folder(options.out, ("path.csv", "plan.json", "plan.png", "plan.gif")) as building:

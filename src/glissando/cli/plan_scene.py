@@ -1,4 +1,4 @@
-"""`glissando plan --scene`: robot and sensors planned together among obstacles."""
+"""`glissando plan --scene`: joint planning of robot and sensors among obstacles."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _WRITTEN = (
 
 
 def plan_scene(options: argparse.Namespace) -> int:
-    """Plan the motion of --scene, print what it is worth, and write it to --out."""
+    """Plan the motion of --scene, print its risk and accuracy, and write it to --out; returns 0."""
     robot = load_robot(options.robot)
     scene = read_scene(options.scene, robot)
     problem = motion_problem(scene, robot)
@@ -60,7 +60,7 @@ def plan_scene(options: argparse.Namespace) -> int:
 
 
 def columns_of_slides(names: Sequence[str]) -> list[str]:
-    """Names of the columns of slides.csv: the streams', numbered where several have one.
+    """Names of the columns of slides.csv: streams' names, numbered if several are the same.
 
     >>> columns_of_slides(["coil", "probe", "coil"])
     ['coil_1', 'probe', 'coil_2']
@@ -73,7 +73,7 @@ def columns_of_slides(names: Sequence[str]) -> list[str]:
 
 def _report(plan: MotionPlan) -> dict[str, object]:
     at = plan.evaluation
-    apart = at.clearances.mean  # of the body and obstacles
+    apart = at.clearances.mean  # expected distances of the body to obstacles
     tip = np.sqrt(np.einsum("kii->k", at.cov[:, -1]))
     return {
         "risk": plan.risk,
@@ -108,7 +108,7 @@ def _sentence(report: dict[str, object]) -> str:
 
 
 def _share(percent: float) -> str:
-    """A sampled risk as it is known: none of 4,000 samples is no zero."""
+    """A sampled risk in per cent, as text: no hit in 4,000 samples does not mean zero."""
     return f"{percent:.2g}" if percent > 0.0 else "less than 0.1"
 
 

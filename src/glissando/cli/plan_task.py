@@ -1,4 +1,4 @@
-"""What `plan` and `design` are asked alike: what is to be known, of which robot and stage."""
+"""Options that `plan` and `design` share: zones, objective, robot and stage."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from glissando.planning.objectives import OBJECTIVES
 from glissando.simulation.bench import load_bench
 
 ROBOT = "sliding700"
-"""Robot that is planned for unless one is given."""
+"""Default robot."""
 
-_AHEAD = 300.0  # s that can be planned
-_FASTEST, _SHARPEST = 2.0, 50.0  # m/s and m/s² of a slide
-_STREAM = "coil"  # the sliding sensor's, unless given
+_AHEAD = 300.0  # longest horizon, s
+_FASTEST, _SHARPEST = 2.0, 50.0  # largest speed, m/s, and acceleration, m/s², of a slide
+_STREAM = "coil"  # default stream of the sliding sensor
 
 
 def add_task(parser: argparse.ArgumentParser, *, zones_required: bool = True) -> None:
-    """Add the options that say what is to be known, and what the stage can do."""
+    """Add the options for robot, zones, horizon, objective and limits of the stage."""
     add = parser.add_argument
     robots = ", ".join(shipped_robots())
     add("--robot", default=ROBOT, metavar="FILE|NAME", help=f"robot file, or of {robots}")
@@ -42,7 +42,7 @@ def add_task(parser: argparse.ArgumentParser, *, zones_required: bool = True) ->
 
 
 def require_horizon(options: argparse.Namespace) -> None:
-    """Raise for a time ahead that is too long to plan, as seconds given in milliseconds are."""
+    """Raise GlissandoError for a horizon that is too long, such as one in milliseconds."""
     if options.horizon > _AHEAD:
         raise GlissandoError(
             f"--horizon is {options.horizon:g} s; give at most {_AHEAD:g} s "
@@ -51,10 +51,13 @@ def require_horizon(options: argparse.Namespace) -> None:
 
 
 def stream_of(options: argparse.Namespace, parameters: Sequence[SensorParameter]) -> str:
-    """The stream of the sliding sensor; its name alone says which parameters count.
+    """Stream of the sliding sensor, by which its sensor parameters are chosen.
+
+    Warns:
+        PlanWarning: The default stream has no uncertain parameter, but others have.
 
     Raises:
-        GlissandoError: The stream that is given has no parameter.
+        GlissandoError: The stream of --stream has no uncertain parameter.
     """
     stream: str = options.stream or _STREAM
     streams = {name for each in parameters if not each.known for name in each.streams}
@@ -77,7 +80,7 @@ def stream_of(options: argparse.Namespace, parameters: Sequence[SensorParameter]
 
 
 def require_speed(option: str, speed: float) -> None:
-    """Raise for a speed that no stage has, as millimetres a second are where metres are asked."""
+    """Raise GlissandoError for a speed that is too high, such as one in mm/s."""
     if speed > _FASTEST:
         raise GlissandoError(
             f"{option}: a speed of {speed:g} m/s is more than {_FASTEST:g} m/s; give metres a "
@@ -86,7 +89,11 @@ def require_speed(option: str, speed: float) -> None:
 
 
 def stage_of(options: argparse.Namespace) -> tuple[SlideLimits, float]:
-    """The stage, and the sensor's arclength when it is drawn out, m."""
+    """Limits of the stage, and the arclength, m, of the sensor at travel zero (drawn out).
+
+    Both are those of [physics] in the robot file; --limits replaces the former, and without
+    [physics] the latter is the robot's length.
+    """
     file = robot_file(options.robot)
     length = load_robot(file).length
     try:

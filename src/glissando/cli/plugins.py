@@ -1,4 +1,4 @@
-"""`glissando --plugin wire.py COMMAND`: sensors and priors of a user's own, for every command."""
+"""`glissando --plugin wire.py COMMAND`: user-defined sensors and priors, for every command."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from glissando.errors import GlissandoError
 
 
 def add_plugins(parser: argparse.ArgumentParser) -> None:
-    """Add the option to a parser."""
+    """Add the option --plugin to a parser."""
     parser.add_argument(
         "--plugin",
         action="append",
@@ -27,10 +27,11 @@ def add_plugins(parser: argparse.ArgumentParser) -> None:
 def import_plugins(words: Sequence[str]) -> list[str]:
     """Import the plugins that a command line names, and return its other words.
 
-    A file's folder joins sys.path, so that processes that the command starts find its classes.
+    The folder of a file is appended to sys.path, so that processes started by the command can
+    import it, too.
 
     Raises:
-        GlissandoError: One cannot be imported.
+        GlissandoError: A plugin cannot be imported.
     """
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, prog="glissando")
     add_plugins(parser)

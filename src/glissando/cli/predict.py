@@ -1,4 +1,4 @@
-"""`glissando predict`: where a robot goes by the commands of its tendons alone."""
+"""`glissando predict`: states of a robot predicted from its tendon commands alone."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ The robot stands still at every time, nothing outside touches it, and its weight
 exit status: 0 done; 1 the tendons leave no static shape; 2 something given was wrong.
 """
 
-_SLOW = 10.0  # s between commands, beyond which they may well be milliseconds
+_SLOW = 10.0  # s between commands, above which times are probably in milliseconds
 _PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 _MARKER_COLUMNS = ("time", "x", "y", "z", *(f"cov_{pair}" for pair in _PAIRS))
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "predict", texts, _predict)
     add = parser.add_argument
@@ -63,7 +63,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _doubts(time: Array, displacement: Array, tendons: Tendons) -> Iterator[str]:
-    """Sentences on commands that are probably in another unit, or unlike what was learned."""
+    """Warnings for times (M,), s, and displacements (M, T), m, probably given in other units."""
     std = tendons.std
     step = float(np.median(np.abs(np.diff(time)))) if time.size > 1 else 0.0
     if step > _SLOW:

@@ -1,4 +1,4 @@
-"""Where long work is: a bar on a terminal, else a line on stderr every few seconds."""
+"""Progress of long work: a bar on a terminal, else a line on stderr every few seconds."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from rich.progress import (
 from glissando.cli.say import say
 
 EVERY = 5.0
-"""Seconds between lines where stderr is no terminal."""
-_SOON = 0.02  # share done below which nothing is said of the time left
+"""Seconds between lines if stderr is not a terminal."""
+_SOON = 0.02  # share done from which the remaining time is shown
 
 
 class Work:
-    """What a command is doing and how much of it is done, shown while it lasts.
+    """State of a command's work: its description and the share done.
 
     Args:
-        doing: What is being done.
+        doing: Description of the first part of the work.
     """
 
     def __init__(self, doing: str) -> None:
@@ -39,14 +39,14 @@ class Work:
         self.begin(doing)
 
     def begin(self, doing: str) -> None:
-        """Begin the next part of the work; nothing if it is the one under way."""
+        """Begin the next part of the work; no effect if it is the present one."""
         if doing != self.doing:
             self.doing, self.note, self._began = doing, "", time.monotonic()
             self.share: float | None = None
-            self._came = 0.0  # s until this share was done
+            self._came = 0.0  # s after which the present share was done
 
     def update(self, done: float, total: float, note: str = "") -> None:
-        """State how much is done, of how much in all, and what else is worth a word."""
+        """Set the amount done, the total amount (0 if unknown), and a note."""
         share, self.note = min(done / total, 1.0) if total else None, note
         if share != self.share:
             self.share, self._came = share, time.monotonic() - self._began
@@ -70,14 +70,14 @@ class Work:
 
 
 class Descent:
-    """Shows how far the iterations of an estimate are, called as a solver's progress.
+    """Progress callback of a solver, which shows the iterations of an estimate.
 
-    The share done is that of the way which the step's length has to shrink, in its logarithm. A
-    search that begins anew, from another start, begins at nothing.
+    The share done is measured by the logarithm of the step's length, from the longest step to the
+    tolerance. It is reset when the solver begins again from another start.
 
     Args:
-        work: Where to show it.
-        tolerance: Length of a step, in standard deviations, that ends a search.
+        work: Work to update.
+        tolerance: Length of a step, in standard deviations, at which the solver has converged.
     """
 
     def __init__(self, work: Work, tolerance: float) -> None:
@@ -85,7 +85,7 @@ class Descent:
         self._longest, self._done, self._iteration = 0.0, 0.0, 0
 
     def __call__(self, iteration: int, cost: float, length: float) -> None:
-        """Show an iteration with its cost and the length of its step."""
+        """Show an iteration with its cost and the length of its step, in standard deviations."""
         if iteration <= self._iteration:
             self._longest = self._done = 0.0
         self._iteration, self._longest = iteration, max(self._longest, length)
@@ -100,10 +100,13 @@ class Descent:
 
 @contextmanager
 def working(doing: str) -> Iterator[Work]:
-    """Show work on stderr while the context lasts; a bar on a terminal is then removed.
+    """Show work on stderr while the context lasts; a bar on a terminal is removed at the end.
 
     Args:
-        doing: What is being done.
+        doing: Description of the first part of the work.
+
+    Yields:
+        The work, whose state is shown.
     """
     work, over, console = Work(doing), threading.Event(), Console(stderr=True)
     show = _show_bar if console.is_terminal else _show_lines

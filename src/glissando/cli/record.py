@@ -1,4 +1,4 @@
-"""`glissando record`: one experiment with every device at once, and the recording it makes."""
+"""`glissando record`: recording of an experiment with all devices of a rig."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ Ctrl-C stops the slide and keeps what was recorded.
 
 exit status: 0 done; 1 stopped early; 2 a device or something given was wrong.
 """
-_REFRESH = 0.2  # s between pictures of the table
-_DAY = 86_400.0  # s that a path lasts at most
+_REFRESH = 0.2  # s between updates of the table
+_DAY = 86_400.0  # longest duration of a path, s
 _OF_A_PATH = ("cycles", "stroke", "speed")
-_IDLE = {"oscillate": (), "calibrate": ("cycles", "speed")}  # of a path, those that say nothing
+_IDLE = {"oscillate": (), "calibrate": ("cycles", "speed")}  # without effect, by --slide
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "record", texts, _record)
     add = parser.add_argument
@@ -87,7 +87,7 @@ def add_to(commands: Commands) -> None:
 
 
 def add_slide(parser: argparse.ArgumentParser, default: str) -> None:
-    """Add the options that choose the slide's path, but for its duration."""
+    """Add the options that choose the slide's path, except its duration."""
     add = parser.add_argument
     slides = f"oscillate, calibrate, hold (where it stands) or a CSV of plan (default {default})"
     add("--slide", default=default, metavar="NAME|FILE", help=slides)
@@ -145,12 +145,12 @@ def refuse_idle_slide(options: argparse.Namespace, without: str, *, moves: bool)
     """Refuse options of the slide that have no effect.
 
     Args:
-        options: The options of the command.
-        without: What has no stage, if none `moves`.
+        options: Options of the command.
+        without: Reason for the message if `moves` is false, such as "a rig without a stage".
         moves: Whether there is a stage that follows the slide's path.
 
     Raises:
-        GlissandoError: One is given.
+        GlissandoError: An option without effect is given.
     """
     if not moves:
         refuse_unused(options, without, "slide", *_OF_A_PATH)
@@ -159,17 +159,22 @@ def refuse_idle_slide(options: argparse.Namespace, without: str, *, moves: bool)
 
 
 def further_paths(options: argparse.Namespace, rig: Rig) -> dict[str, SlidePath]:
-    """Paths of the rig's further stages, of the kind asked for, each in its own stroke."""
+    """Paths of the rig's further stages by name, of the kind of --slide, within their limits."""
     return {one.name: slide_path(options, rig, one) for one in rig.further}
 
 
 def slide_path(
     options: argparse.Namespace, rig: Rig, further: FurtherStage | None = None
 ) -> SlidePath:
-    """A stage's path as asked for, within its limits; the first's unless a further one is given.
+    """Path of a stage by --slide and its options, within the limits of the stage.
+
+    Args:
+        options: Options of the command.
+        rig: The rig.
+        further: One of the rig's further stages; None for its first.
 
     Raises:
-        GlissandoError: There is no such path.
+        GlissandoError: The options describe no possible path.
     """
     stage, name = (further.stage, further.name) if further else (rig.stage, "")
     limits = SlideLimits(1.0, 1.0, 1.0)
@@ -202,7 +207,7 @@ def _capture_shown(
     folder: Path,
     on_message: OnMessage | None,
 ) -> None:
-    """Run the experiment while stderr shows a live table, or lines where it is no terminal."""
+    """Run the experiment while stderr shows a live table, or lines if it is not a terminal."""
     console = Console(stderr=True)
     if not console.is_terminal:
         with working("recording") as work:
@@ -227,7 +232,7 @@ def _capture_shown(
 
 
 def _table(progress: Progress) -> Table:
-    """The table of now; the threads of devices add to what is copied here."""
+    """Table of the present progress, from copies, as the devices' threads write to it."""
     into = min(time.monotonic() - progress.began, progress.total)
     table = Table("stream", "Hz", "messages", "last", title=f"{into:.0f} of {progress.total:.0f} s")
     for topic, count in dict(progress.count).items():
@@ -239,13 +244,16 @@ def _table(progress: Progress) -> Table:
 
 
 def _has_messages(folder: Path) -> bool:
-    """Whether a folder's log holds any message."""
+    """Whether the session log in a folder has any message."""
     log = folder / LOG
     return log.exists() and any(topic.messages for topic in read_session(log).topics.values())
 
 
 def _keep(rig: Rig, options: argparse.Namespace, *, quietly: bool = False) -> None:
-    """Make a recording of the log and print a summary."""
+    """Write the session log as a recording and print a summary.
+
+    If `quietly`, after a device failed, delete a log without messages, and report on stderr.
+    """
     folder = options.out
     if quietly and not _has_messages(folder):
         shutil.rmtree(folder)  # nothing began

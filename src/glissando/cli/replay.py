@@ -1,4 +1,4 @@
-"""`glissando replay`: a recording run through the online estimator as if it were live."""
+"""`glissando replay`: online estimation of a recording, as if it were live."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ examples:
 exit status: 0 done; 2 something given was wrong.
 """
 
-_SAYS_NOTHING = 0.5  # bound of a rate of misses that says nothing
-_MOST = 1000  # time nodes of the estimator's window, as of `glissando live`
+_SAYS_NOTHING = 0.5  # bound on the deviation of a miss rate from which it is not informative
+_MOST = 1000  # most time nodes of the estimator's window, as in `glissando live`
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "replay", texts, _replay)
     add = parser.add_argument
@@ -102,7 +102,7 @@ def _replay(options: argparse.Namespace) -> int:
 
 
 def _require_lag(lag: float | None, robot: Robot) -> None:
-    """Raise for a lag that cannot be, or is more than `glissando live` allows."""
+    """Raise GlissandoError for a lag, s, that is invalid or longer than `glissando live` allows."""
     if lag is None:
         return
     longest = _MOST / robot.time_rate
@@ -166,7 +166,7 @@ def _print(result: Replay, console: Console) -> None:
 
 
 def _cells(errors: dict[str, Any] | None, name: str) -> list[str]:
-    """RMSEs and coverage of one site, or of all where the name is empty."""
+    """Cells of RMSE and coverage at one site, or at all if the name is empty."""
     sites = {s["name"]: s for s in errors["sites"]} if errors else {}
     summary = sites.get(name) if name or not errors else errors["overall"]
     return truth_cells(summary or {}, ("position_rmse", "rotation_rmse", "coverage95_position"))

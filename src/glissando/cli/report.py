@@ -1,4 +1,4 @@
-"""`glissando report`: runs of `estimate` side by side as one HTML page."""
+"""`glissando report`: comparison of runs of `estimate` on one HTML page."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ exit status: 0 done; 2 something given was wrong.
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "report", texts, _report)
     add = parser.add_argument

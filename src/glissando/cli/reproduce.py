@@ -1,4 +1,4 @@
-"""`glissando reproduce`: the paper's claims, computed, judged and drawn."""
+"""`glissando reproduce`: computes the paper's claims, compares them and draws the figures."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ exit status: 0 every claim holds; 1 one does not; 2 something given was wrong.
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "reproduce", texts, _reproduce)
     add = parser.add_argument
@@ -57,7 +57,7 @@ def _reproduce(options: argparse.Namespace) -> int:
 
 
 def _print_verdicts(verdicts: Sequence[Verdict], console: Console) -> None:
-    """The table claim | paper | ours | verdict; what goes beyond the paper in a section below."""
+    """Print a table of claims, with those that go beyond the paper in a section below."""
     table = Table("claim", "paper", "ours", "verdict", title="Sliding Sensors, reproduced")
     before = False
     for verdict in verdicts:

@@ -1,4 +1,4 @@
-"""`glissando rerun`: a result computed again from its report, and what differs."""
+"""`glissando rerun`: computes a result again from its report, and lists differences."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ _TIMES = "latency", "real_time_factor"
 _LEFT_OUT = {"scheduler": None} | dict.fromkeys(
     ("live", "animate", "view", "figures", "resume"), False
 )
-_SHOWN = 12  # entries of the report that differ
+_SHOWN = 12  # most differing entries of the report that are printed
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     parser = add_command(commands, "rerun", (_HELP, _EXAMPLES), _rerun)
     add = parser.add_argument
     add("report", type=Path, metavar="REPORT", help="report that a command wrote into its --out")
@@ -60,7 +60,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _written(folder: Path, name: str) -> Path:
-    """The report in a folder of results, of that name unless the first one was renamed."""
+    """Path of the report in a folder of results: `name`, else report.json, else any JSON file."""
     reports = [folder / name, folder / "report.json", *sorted(folder.glob("*.json"))]
     return next((file for file in reports if file.is_file()), reports[0])
 
@@ -92,7 +92,7 @@ def _rerun(options: argparse.Namespace) -> int:
 
 
 def _report(path: Path) -> dict[str, Any]:
-    """A report that can be computed again. Raises GlissandoError for anything else."""
+    """Read a report that can be computed again. Raises GlissandoError for any other file."""
     try:
         report: dict[str, Any] = json.loads(plain_text(path))
         sound = all(isinstance(report[key], kind) for key, kind in _STATED.items())
@@ -109,7 +109,7 @@ def _report(path: Path) -> dict[str, Any]:
 
 
 def _request(words: list[Any], options: argparse.Namespace) -> argparse.Namespace:
-    """The options of a report's command, with those given now in their place."""
+    """Parse a report's command line, and replace recording and robot by those given now."""
     complaint = io.StringIO()
     try:
         if words[:1] not in [[name] for name in _COMMANDS] or not all(
@@ -143,7 +143,7 @@ def _request(words: list[Any], options: argparse.Namespace) -> argparse.Namespac
 
 
 def _compared(report: dict[str, Any], again: dict[str, Any]) -> dict[str, Any]:
-    """What differs between two reports: names of inputs, versions, and entries with their sizes."""
+    """Differences of two reports: names of inputs, versions, and entries with relative sizes."""
     before, now = report["inputs"], again["inputs"]
     inputs = sorted(k for k in {*before, *now} if before.get(k) != now.get(k))
     versions = [vars(d) for d in differences(report["versions"], again["versions"])]
@@ -155,7 +155,7 @@ def _compared(report: dict[str, Any], again: dict[str, Any]) -> dict[str, Any]:
 
 
 def _files(before: Path, now: Path) -> dict[str, Any]:
-    """How far the tables and the posteriors of two folders are apart."""
+    """Differences of the tables and posteriors of two folders; None for unlike posteriors."""
     pairs = [(path, now / path.name) for path in sorted(before.iterdir())]
     tables = {
         path.name: table_difference(path, other)
@@ -171,7 +171,7 @@ def _files(before: Path, now: Path) -> dict[str, Any]:
 
 
 def _print(comparison: dict[str, Any], differ: list[dict[str, Any]]) -> None:
-    """Say what differs, a line each."""
+    """Print the differences, one a line."""
     for name in comparison["inputs"]:
         print(f"input {name}: its bytes are not those of then")
     for entry in comparison["versions"]:

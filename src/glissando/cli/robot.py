@@ -1,4 +1,4 @@
-"""`glissando robot new`: a robot file with broad defaults from a few physical numbers."""
+"""`glissando robot new`: a robot file with a broad prior, from a few physical numbers."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ examples:
 
 exit status: 0 done; 2 something given was wrong.
 """
-_RADIANS, _NEAR = 20.0, 0.01  # degrees below which quarters of a turn are radians, and how near
+_RADIANS, _NEAR = 20.0, 0.01  # degrees; tolerance, turns, for angles probably in radians
 _ASKED = {
     "length": "Length of the robot in metres",
     "segments": "Number of segments that are driven each on its own",
@@ -46,7 +46,7 @@ _ASKED = {
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     parser = add_command(commands, "robot", (_HELP, _EXAMPLES), _robot)
     add = parser.add_argument
     add("action", choices=["new"], help="what to do")
@@ -109,7 +109,7 @@ def _robot(options: argparse.Namespace) -> int:
 
 
 def _answer(key: str) -> object:
-    """What a user answers on the terminal, as the option's type."""
+    """Ask for an option on the terminal, and return the answer as the option's type."""
     text = input(f"{_ASKED[key]}: ").strip()
     if key == "sensors":
         return names(text)

@@ -1,4 +1,4 @@
-"""What a command says beside its output."""
+"""Messages of a command on stderr."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ import sys
 
 
 def say(text: str) -> None:
-    """Print a line on stderr at once."""
+    """Print a line on stderr and flush it."""
     print(text, file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""Options and steps that several commands share."""
+"""Options and functions that several commands share."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import SolverOptions
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-"""Where a command adds its parser."""
+"""Subparsers to which a command adds its own."""
 
-_AS_LONG = 0.01  # of its length: robots that differ by less count as alike
+_AS_LONG = 0.01  # largest relative difference of lengths without a warning
 
 
 def add_command(
@@ -50,10 +50,10 @@ def add_command(
     """Add a command and return its parser.
 
     Args:
-        commands: Where the command is added.
+        commands: Subparsers to which the command is added.
         name: Name of the command.
-        texts: What stands above and below its options in the help.
-        run: Executes the command and returns its exit status.
+        texts: Description and epilog of its help, above and below the options.
+        run: Function that executes the command and returns its exit status.
     """
     parser = commands.add_parser(
         name,
@@ -67,7 +67,7 @@ def add_command(
 
 
 def names(text: str) -> list[str]:
-    """The names in a list separated by commas, each once."""
+    """Names in a text separated by commas, in order and without repeats."""
     return list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
 
 
@@ -84,13 +84,13 @@ def add_choices(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen_robot(recording: Recording, name: str | None) -> Robot:
-    """The robot of that name or file, else the recording's own.
+    """The robot of a name or file, else the recording's own.
 
-    Lines on stderr say that it is not as long as the recording's own, and name streams that its
-    sensor parameters are for and the recording lacks.
+    Warnings on stderr report a robot that is not as long as the recording's own, and streams of
+    its sensor parameters that the recording lacks.
 
     Raises:
-        RobotFileError: If there is neither.
+        RobotFileError: No name is given and the recording has no robot, or the file is invalid.
     """
     robot = load_robot(name) if name else recording.robot
     if robot is None:
@@ -117,7 +117,10 @@ def chosen_robot(recording: Recording, name: str | None) -> Robot:
 def streams_of(
     posterior: Posterior, recording: Recording, robot: Robot, options: argparse.Namespace
 ) -> tuple[list[Readings], list[Readings]]:
-    """The readings and the truth of the recording that a posterior was estimated from, placed."""
+    """Readings and truth of the recording in a posterior's time, with the choices of `options`.
+
+    Readings in channels get the arclengths at which the posterior places them.
+    """
     time = posterior.grid.time
     require_pair(posterior, robot, recording.name, recording.span())
     window = (float(time[0]), float(time[-1]))
@@ -128,10 +131,10 @@ def streams_of(
 def estimate_watched(
     recording: Recording, robot: Robot, options: argparse.Namespace
 ) -> tuple[Run, str]:
-    """Estimate a recording while stderr shows how far the iteration is.
+    """Estimate a recording while stderr shows the progress of the iterations.
 
     Returns:
-        The run, and the sentence of a warning that it has not converged, else an empty one.
+        The run, and the warning that it has not converged, or an empty text.
     """
     most = getattr(options, "max_iterations", None)
     if most is not None and most < 1:
@@ -161,13 +164,13 @@ def estimate_watched(
 
 
 def warn(findings: Sequence[Finding]) -> None:
-    """Print findings on stderr, a line each."""
+    """Print findings on stderr as warnings, one a line."""
     for finding in findings:
         say(f"glissando: warning ({finding.name}): {finding.sentence}")
 
 
 def findings_in(folder: Path) -> list[Finding]:
-    """What is implausible about a recording that was just written; nothing if it names no robot."""
+    """Implausible properties of a recording just written; none are found without a robot."""
     recording = load_recording(folder)
     if recording.robot is None:
         return []
@@ -175,21 +178,21 @@ def findings_in(folder: Path) -> list[Finding]:
         window = checked_window(recording, None)
         streams = chosen_streams(recording, recording.robot, window, None, None)[:2]
         return examine_recording(recording, recording.robot, *streams, window)
-    except GlissandoError as problem:  # such as a stream without noise: an estimate will say so
+    except GlissandoError as problem:  # such as a stream without noise
         return [Finding("shape", str(problem), False)]
 
 
 @dataclass(frozen=True)
 class ViewData:
-    """What a page or a figure shows.
+    """Data shown by a page, a figure or a check.
 
     Attributes:
-        posterior: The posterior.
-        readings: Streams that were used; empty where no recording is known.
-        truth: Streams to compare with.
-        title: Name of the recording or of the posterior's folder.
-        complaint: Sentence of a warning that it has not converged, else empty.
-        robot: The robot, where a recording or a name tells it.
+        posterior: Posterior to show.
+        readings: Readings that were used; empty without a recording.
+        truth: Truth streams to compare with; empty without a recording.
+        title: Name of the recording, or of the posterior's file or folder.
+        complaint: Warning that the estimate has not converged, else empty.
+        robot: Robot of the recording or of --robot; None without either.
     """
 
     posterior: Posterior
@@ -201,16 +204,16 @@ class ViewData:
 
 
 def of_results(target: Path) -> Path:
-    """The posterior of a folder of results, else what was given, such as a recording's folder."""
+    """Path of the posterior in a folder of results, else the path itself."""
     inside = target / "posterior.nc"
     return inside if inside.is_file() and not (target / "recording.toml").exists() else target
 
 
 def posterior_shown(options: argparse.Namespace) -> ViewData:
-    """The posterior of `options.target`, which is one, its folder, or a recording to estimate.
+    """Posterior of `options.target`: its file or folder, or a recording, which is estimated.
 
     Raises:
-        GlissandoError: There is neither.
+        GlissandoError: The target does not exist, or an option has no effect on it.
     """
     target = of_results(options.target)
     if target.is_dir():
@@ -238,7 +241,7 @@ def posterior_shown(options: argparse.Namespace) -> ViewData:
 
 
 def _start(options: argparse.Namespace, recording: Recording, robot: Robot) -> Posterior | None:
-    """The earlier estimate to start from, if the command has that option and it is given."""
+    """Earlier posterior of --start, from which to start; None if it is not given."""
     path = getattr(options, "start", None)
     if path is None:
         return None
@@ -249,6 +252,6 @@ def _start(options: argparse.Namespace, recording: Recording, robot: Robot) -> P
 
 
 def recording_and_robot(options: argparse.Namespace) -> tuple[Recording, Robot]:
-    """The recording of `options.recording`, and its robot or the one that was asked for."""
+    """Load the recording of `options.recording`, and the robot of --robot or its own."""
     recording = load_recording(options.recording)
     return recording, chosen_robot(recording, options.robot)

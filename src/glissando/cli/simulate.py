@@ -1,4 +1,4 @@
-"""`glissando simulate`: physics and imperfect sensors become a recording folder."""
+"""`glissando simulate`: simulation of a robot and imperfect sensors, written as a recording."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ exit status: 0 done; 1 the physics has no static shape there; 2 something given 
 
 
 def add_channel(parser: argparse.ArgumentParser) -> None:
-    """Add the option that has the simulated coil slide in a channel."""
+    """Add the option for the channel in which the simulated coil slides."""
     metres = "the coil slides in a channel beside the backbone: m, rad, and m a turn if it winds"
     parser.add_argument("--channel", type=channel, metavar="RADIUS,ANGLE[,PITCH]", help=metres)
 
 
 def channel(text: str) -> Channel:
-    """The channel that RADIUS,ANGLE[,PITCH] state.
+    """Parse RADIUS,ANGLE[,PITCH], in m, rad and m a turn, as a channel.
 
     >>> channel("0.004,0.5")
     Channel(radius=0.004, angle=0.5, pitch=inf)
@@ -71,7 +71,7 @@ def channel(text: str) -> Channel:
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "simulate", texts, _simulate)
     add = parser.add_argument
@@ -96,7 +96,7 @@ def add_to(commands: Commands) -> None:
 
 def _simulate(options: argparse.Namespace) -> int:
     file = robot_file(options.robot)
-    load_robot(file)  # what cannot be estimated is not worth simulating
+    load_robot(file)  # raises for a file that cannot be estimated
     require_writable(options.out.parent)
     require_new(options.out, SimulationError)
     given = {name: getattr(options, name) for name in ("at", "cycles", "stroke", "speed")}

@@ -1,4 +1,4 @@
-"""`glissando study FILE.toml`: every combination of settings, simulated, estimated and checked."""
+"""`glissando study FILE.toml`: simulation and estimation over all combinations of settings."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ exit status: 0 done; 1 some cells failed, the table says why; 2 something given 
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     texts = _HELP, _EXAMPLES
     parser = add_command(commands, "study", texts, _study)
     add = parser.add_argument

@@ -1,4 +1,4 @@
-"""Options that have no effect beside others are refused, not ignored."""
+"""Refusal of options that have no effect in combination with others."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ _FLAGS = {"posterior": "from"}
 
 
 def refuse_unused(options: argparse.Namespace, to: str, *silent: str) -> None:
-    """Make sure that options which have no effect are left at their defaults.
+    """Require that options which have no effect have their default values.
 
     Args:
-        options: The options of the command.
-        to: What they say nothing to, such as another option.
-        silent: Names of those options.
+        options: Options of the command.
+        to: Option or input on which they have no effect, for the message.
+        silent: Names of the options without effect.
 
     Raises:
-        GlissandoError: One is given.
+        GlissandoError: One of them is given.
     """
     for name in silent:
         if getattr(options, name) != options.default_of(name):

@@ -1,4 +1,4 @@
-"""`glissando view`: the robot over time with its confidence, as a page or live in a browser."""
+"""`glissando view`: the robot over time with its uncertainty, as a page or live in a browser."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ exit status: 0 done; 1 the estimate did not converge; 2 something given was wron
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command to the parser's."""
+    """Add this command, with its options, to the command line."""
     parser = add_command(commands, "view", (_HELP, _EXAMPLES), _view)
     add = parser.add_argument
     add("target", type=Path, metavar="RECORDING|POSTERIOR", help="folder, or a posterior.nc")
