@@ -1,4 +1,4 @@
-"""Claims: sentences of the paper with a number of ours beside each, and a verdict."""
+"""Claims of the paper: each with its number, our number and a verdict."""
 
 from __future__ import annotations
 
@@ -16,25 +16,26 @@ _DIRECTIONS = ("below", "above", "report")
 
 
 class ClaimsError(GlissandoError):
-    """A file of claims is not as it should be."""
+    """A file of claims is invalid, or needs a number that is not computed."""
 
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim: what the paper says, its value, and how ours is computed and judged.
+    """One claim: its sentence, the paper's number, and how ours is computed and judged.
 
     Attributes:
         id: Name of the claim.
         says: The claim in a sentence.
-        paper: The paper's number.
+        paper: The paper's number, as text.
         ours: Format string over the results, `{table[C][fixed][position][value]:.3f}`.
-        direction: 'below' or 'above' the bound, or 'report' for what is not judged.
-        measure: Dotted path of the number that is judged.
-        bound: What it is compared with.
-        beyond: Whether the paper does not claim it.
-        full: Whether a quick run leaves it out.
-        effect: Dotted path of an interval whose size is compared with the paper's, if there is one.
-        paper_effect: The paper's value of it.
+        direction: 'below' or 'above' for the side of the bound on which the claim holds; 'report'
+            for a number that is not judged.
+        measure: Dotted path in the results of the number that is judged.
+        bound: Bound with which the number is compared.
+        beyond: Whether the claim goes beyond the paper.
+        full: Whether a quick run leaves the claim out.
+        effect: Dotted path of an interval that is compared with `paper_effect`; empty for none.
+        paper_effect: The paper's value of the effect.
     """
 
     id: str
@@ -52,9 +53,9 @@ class Claim:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A claim with our number: 'holds', 'FAILS', or '' where there is nothing to judge.
+    """A claim with our number and a verdict: 'holds', 'FAILS', or '' if it is not judged.
 
-    `size` says how large the effect is beside the paper's, where the paper gives one.
+    `size` compares the effect with the paper's in words, if the paper gives one.
     """
 
     claim: Claim
@@ -70,7 +71,7 @@ class Verdict:
 
 
 def load_claims(path: Path = CLAIMS) -> list[Claim]:
-    """The claims of a TOML file. Raises ClaimsError naming the claim and the key."""
+    """Read the claims of a TOML file. Raises ClaimsError naming the claim and the key."""
     table = read_toml(path, ClaimsError)
     claims = [_claim(entry) for entry in table.tables("claims")]
     table.close()
@@ -102,7 +103,7 @@ def _claim(entry: Table) -> Claim:
 
 
 def judge(claims: Sequence[Claim], results: dict[str, Any]) -> list[Verdict]:
-    """Every claim with our number and its verdict. Raises ClaimsError for a number not computed."""
+    """Judge every claim by our results. Raises ClaimsError for a number that is not computed."""
     return [_judge(claim, results) for claim in claims]
 
 
@@ -123,14 +124,14 @@ def _judge(claim: Claim, results: dict[str, Any]) -> Verdict:
 
 
 def _at(results: Any, path: str) -> Any:
-    """The entry of nested tables at a dotted path."""
+    """Entry of nested tables at a dotted path."""
     for key in path.split("."):
         results = results[key]
     return results
 
 
 def _size(effect: dict[str, float], paper: float) -> str:
-    """How large an effect with its interval is beside the paper's."""
+    """Size of an effect, given with its interval, relative to the paper's, in words."""
     if effect["low"] <= paper <= effect["high"]:
         return "as large as the paper's"
     return f"{effect['value'] / paper:.1f} × the paper's"

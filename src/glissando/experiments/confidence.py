@@ -1,4 +1,4 @@
-"""Where along the body confidence is highest, and whether that is where the sensor is."""
+"""Comparison of the coil's arclength with that of the least standard deviation of position."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 from glissando.experiments.scenes import PAPER_RATE, Scene, Trial, bench, path, trial
 from glissando.geometry.se3 import Array
 
-_INSTANTS = 0.35  # s between instants, which fall on and between time nodes
-_POINTS = 701  # places along the body at which confidence is evaluated
+_INSTANTS = 0.35  # s between instants, which lie on and between time nodes
+_POINTS = 701  # arclengths at which standard deviations are evaluated
 
 
 def std_along(result: Trial, time: float) -> tuple[Array, Array]:
-    """Arclengths (P,) along the body and the std of position (P,) there at a time, metres."""
+    """Arclengths (P,) along the body, m, and the std of position (P,) there at a time, m."""
     arclength = np.linspace(0.0, bench().rod.length, _POINTS)
     return arclength, result.posterior.at(arclength, time).std_position
 
 
 def nearest_minimum(arclength: Array, std: Array, coil: float) -> float:
-    """Arclength of the local minimum of `std` nearest to the coil, NaN where there is none.
+    """Arclength of the local minimum of `std` nearest to the coil; NaN if there is no minimum.
 
-    A minimum is lower than its neighbours on both sides that exist. The clamped base is none; the
-    tip may be one.
+    A minimum is lower than its neighbours. The tip, which has one neighbour, may be a minimum; the
+    clamped base is excluded.
     """
     falls = np.diff(std) < 0.0
     minima = np.flatnonzero(falls[:-1] & ~falls[1:]) + 1
@@ -40,7 +40,10 @@ def _minimum_near(result: Trial, time: float, coil: float) -> dict[str, float]:
 
 
 def confidence_at_coil(quick: bool) -> tuple[dict[str, Any], dict[str, Trial]]:
-    """Straight, C and S, the coil at the tip and 60 mm inside: the distance of the minimum from it.
+    """Compare coil and minimum for straight, C and S shapes, with the coil at the tip and inside.
+
+    Args:
+        quick: Whether sessions last 2 s instead of 4 s.
 
     Returns:
         Arclengths of coil and minimum and their distance (m) by name, and the `worst` distance; the
@@ -60,12 +63,12 @@ def confidence_at_coil(quick: bool) -> tuple[dict[str, Any], dict[str, Trial]]:
 
 
 def confidence_follows() -> tuple[dict[str, Any], Trial, Scene]:
-    """The coil slides the whole length of a C: the distance of the minimum at several instants.
+    """Compare coil and minimum over time, while the coil slides the whole length of a C.
 
-    The base is clamped, so instants count while the coil is in the outer three quarters.
+    As the base is clamped, only instants count at which the coil is in the outer three quarters.
 
     Returns:
-        The distances (m) by `instants`, and the `worst`; the trial; its scene.
+        Comparisons (m) by time under `instants`, and the `worst` distance; the trial; its scene.
     """
     length = bench().rod.length
     scene = Scene(

@@ -1,7 +1,7 @@
-"""Figures of confidence along the body: it is highest where the coil is, and follows it.
+"""Figures of the standard deviation of position along the body, which is least near the coil.
 
-Robots in space hang side by side at one scale. Gravity points along +z, so z is drawn downwards.
-Lengths are drawn in millimetres, times in seconds.
+Robots are drawn side by side in 3D at one scale. Gravity points along +z, so z is drawn downwards.
+Lengths are in millimetres, times in seconds.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _KINDS = {"tip": ("#332288", "coil at the tip"), "inside": ("#C2568F", "coil 60 mm inside")}
 _INSTANTS = 6
-_JUDGED = 0.25  # share of the length at the clamped base where no minimum is looked for
+_JUDGED = 0.25  # share of the length at the clamped base that is excluded
 _COIL: dict[str, Any] = {
     "marker": "o", "color": "#FFD92F", "edgecolor": "black", "linewidth": 1.3,
 }  # fmt: skip
@@ -32,15 +32,15 @@ _MINIMUM: dict[str, Any] = {
 }  # fmt: skip
 _DASHES: dict[str, Any] = {"lw": 1.5, "ls": (0, (3, 1.5))}
 _VIEW: dict[str, Any] = {"elev": -24, "azim": -240, "roll": 180, "proj_type": "ortho"}
-_THINNEST = 0.26  # of its longest side, a box
-_TRIAD = 26.0  # mm
+_THINNEST = 0.26  # least side of a box, as a share of its longest
+_TRIAD = 26.0  # length of the axes of a pose, mm
 
 
 def coil_figure(trials: Mapping[str, Trial], confidence: Mapping[str, Any]) -> Figure:
-    """Confidence is highest at the coil, wherever it is: straight, C and S robots.
+    """Draw straight, C and S robots with the coil at two arclengths, and their uncertainty.
 
-    Drawn half-way through each trial: bodies with 95 % ellipsoids and truth, and below them the
-    standard deviation of position. `trials` and `confidence` are those of `confidence_at_coil`.
+    Half-way through each trial: bodies with 95 % ellipsoids and truth, and below them the standard
+    deviation of position. `trials` and `confidence` are the results of `confidence_at_coil`.
     """
     from matplotlib.lines import Line2D
 
@@ -88,11 +88,11 @@ def coil_figure(trials: Mapping[str, Trial], confidence: Mapping[str, Any]) -> F
 
 
 def following_figure(result: Trial, scene: Scene, following: Mapping[str, Any]) -> Figure:
-    """The place of highest confidence follows the coil through the whole length of the body.
+    """Draw a robot while its coil slides the whole length, and the minimum that follows the coil.
 
-    Left the body with 95 % ellipsoids at six of the estimate's nodes in time, on the coil's way in;
-    right the standard deviation of position along it, and the arclengths of coil and minimum over
-    time. The arguments are those of `confidence_follows`.
+    Left: the body with 95 % ellipsoids at six time nodes, while the coil moves towards the base.
+    Right: the standard deviation of position along the body, and the arclengths of coil and minimum
+    over time. The arguments are the results of `confidence_follows`.
     """
     from matplotlib import colormaps
 
@@ -120,7 +120,7 @@ def following_figure(result: Trial, scene: Scene, following: Mapping[str, Any]) 
 
 
 def _way_in(scene: Scene, result: Trial) -> list[tuple[float, float]]:
-    """Times in s and arclengths in m of the coil, evenly along its way in, at nodes in time."""
+    """Time nodes, s, and arclengths, m, of the coil, evenly spaced on its way to the base."""
     time = result.posterior.grid.time
     slide = path(scene).at(time)
     slide = slide[: np.argmax(slide) + 1]
@@ -130,7 +130,7 @@ def _way_in(scene: Scene, result: Trial) -> list[tuple[float, float]]:
 
 
 def _finish_curves(axes: Any) -> None:
-    """A logarithmic scale that covers the confidence, and names."""
+    """Set a logarithmic scale that covers the standard deviations, and labels."""
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     std = np.concatenate([line.get_ydata() for line in axes.lines])
@@ -143,7 +143,7 @@ def _finish_curves(axes: Any) -> None:
 
 
 def _draw_following(axes: Any, scene: Scene, following: Mapping[str, Any]) -> None:
-    """Coil and minimum over time."""
+    """Draw the arclengths of coil and minimum over time."""
     from matplotlib.ticker import MaxNLocator
 
     length, instants = bench().rod.length * MM, following["instants"]
@@ -162,12 +162,12 @@ def _draw_following(axes: Any, scene: Scene, following: Mapping[str, Any]) -> No
 
 
 def _plane(figure: Any, rect: Sequence[float], **look: Any) -> Any:
-    """Flat axes at (left, bottom, width, height) inches."""
+    """Add 2D axes at (left, bottom, width, height), inches."""
     return figure.add_axes(np.array(rect) / np.tile(figure.get_size_inches(), 2), **look)
 
 
 class _Bodies:
-    """A table of robots in space, at one scale; columns may differ in what they cover."""
+    """A table of robots in 3D at one scale; the box of each column fits its robots."""
 
     def __init__(self, figure: Any, rows: int, columns: int) -> None:
         self.figure = figure
@@ -181,7 +181,7 @@ class _Bodies:
     def draw(
         self, row: int, column: int, result: Trial, time: float, coil: float, colour: Any
     ) -> None:
-        """Draw the robot at a time in s, with the coil at an arclength in m."""
+        """Draw the robot at a time, s, with the coil at an arclength, m."""
         axes, posterior = self.axes[row][column], result.posterior
         sites, ends = sites_of(result.truth, posterior.grid), posterior.grid.arclength
         line = posterior.at(np.linspace(ends[0], ends[-1], 141), time).position * MM
@@ -197,7 +197,7 @@ class _Bodies:
         self.points[column] += [line, *corners]
 
     def finish(self, place: tuple[float, float, float, float], gap: tuple[float, float]) -> None:
-        """Arrange all in (left, bottom, width, height) inches, with gaps in a cell for ticks."""
+        """Arrange the axes in (left, bottom, width, height), inches, with gaps for their ticks."""
         boxes = [_box(np.concatenate(points)) for points in self.points]
         ends = [min(box[2, 0] for box in boxes), max(box[2, 1] for box in boxes)]
         for box in boxes:
@@ -214,14 +214,14 @@ class _Bodies:
                 axes.patch.set_visible(False)
                 _set_box(axes, box, scale)
                 _set_ticks(axes, i == rows - 1, j == 0)
-            # beside a narrow box the axis's own place for its name is too near
+            # beside a narrow box matplotlib places the axis's label too near
             left = place[0] + 0.5 * (cell[0] - scale * sizes[0, 0]) - 0.45
             look = {"rotation": 90, "fontsize": 9.5, "ha": "right", "va": "center"}
             self.figure.text(*(np.array([left, middle[1]]) / paper), "z (mm)", **look)
 
 
 def _box(points: Array) -> Array:
-    """Ends (3, 2) of a box around points (M, 3), never a thin slab."""
+    """Limits (3, 2) of a box around points (M, 3), none of whose sides is too thin."""
     low, high = points.min(axis=0), points.max(axis=0)
     half = 0.5 * np.maximum(1.04 * (high - low), _THINNEST * np.ptp(points, axis=0).max())
     middle = 0.5 * (low + high)
@@ -229,14 +229,14 @@ def _box(points: Array) -> Array:
 
 
 def _size_on_paper(span: Array) -> Array:
-    """Width and height (2,) that a box with sides (3,) takes in our view, in its units."""
+    """Width and height (2,) of the projection of a box with sides (3,), in the same units."""
     turn, tilt = np.radians(_VIEW["azim"]), np.radians(_VIEW["elev"])
     flat = np.abs([[np.sin(turn), np.cos(turn)], [np.cos(turn), np.sin(turn)]]) @ span[:2]
     return np.array([flat[0], abs(np.sin(tilt)) * flat[1] + np.cos(tilt) * span[2]])
 
 
 def _set_box(axes: Any, box: Array, scale: float) -> None:
-    """Limits (3, 2) in mm, drawn at a scale in inches a mm."""
+    """Set the limits (3, 2), mm, of 3D axes, drawn at a scale in inches a mm."""
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 
     span = tuple(np.ptp(box, axis=1))  # matplotlib would scale an array in place
@@ -249,7 +249,7 @@ def _set_box(axes: Any, box: Array, scale: float) -> None:
 
 
 def _set_ticks(axes: Any, below: bool, left: bool) -> None:
-    """Ticks of 100 or 200 mm; labels in the last row and the first column, as the rest agree."""
+    """Set ticks every 100 or 200 mm, with labels only in the last row and the first column."""
     from matplotlib.ticker import MultipleLocator
 
     wide = 100 if np.ptp(axes.get_xlim()) < 330.0 else 200
@@ -268,7 +268,7 @@ def _set_ticks(axes: Any, below: bool, left: bool) -> None:
 
 
 def _explain_bodies(figure: Any) -> None:
-    """The legend of bodies in space."""
+    """Draw the legend of the robots in 3D."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

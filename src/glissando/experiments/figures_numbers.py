@@ -1,4 +1,4 @@
-"""Figures of numbers: RMSE over many trials, by where the coil is and how fast it slides."""
+"""Figures of RMSE over many trials, by the motion of the coil, its speed, and causes of error."""
 
 from __future__ import annotations
 
@@ -45,24 +45,24 @@ def _colour(shape: str) -> str:
 
 
 def _ends(entry: Mapping[str, Any], unit: float) -> Array:
-    """A value and the ends of its interval (3,); these are NaN where there is none."""
+    """Value and ends of its interval (3,), times `unit`; the ends are NaN without an interval."""
     ends = np.array([entry[key] for key in ("value", "low", "high")], dtype=float)
     return unit * ends
 
 
 def _draw_row(axes: Any, entry: Mapping[str, Any], row: float, unit: float, **look: Any) -> None:
-    """A value with its interval, lying, at a height."""
+    """Draw a value with its horizontal interval at the height `row`."""
     value, low, high = _ends(entry, unit)
     axes.plot([low, high], [row, row], color=look["color"], lw=2.0, solid_capstyle="butt")
     axes.plot(value, row, ls="none", **{"marker": "o", "ms": 7.5, "zorder": 4, **_EDGE, **look})
 
 
 def table_figure(table: Mapping[str, Mapping[str, Any]]) -> Figure:
-    """RMSE of a robot at rest by where its coil is, with 95 % intervals and the paper's values.
+    """Draw RMSE of a robot at rest by the motion of its coil, with 95 % intervals and the paper's.
 
     Args:
-        table: A summary of trials (m, rad) by shape and arm; in an arm 'still …' the estimator
-            knows that the robot holds still.
+        table: Summaries of trials (m, rad) by shape and arm; an arm 'still …' has the prior of a
+            robot that holds still.
 
     Returns:
         The figure, in cm and rad.
@@ -89,7 +89,7 @@ def table_figure(table: Mapping[str, Mapping[str, Any]]) -> Figure:
 
 
 def _table_rows(arms: set[str]) -> dict[str, str]:
-    """Arms and headings from the top, each with the label of its row; a heading is no arm's."""
+    """Labels of rows from the top, by arm; headings have blank keys."""
     known = [*_ARMS]
 
     def rank(arm: str) -> tuple[int, str]:
@@ -125,15 +125,15 @@ def _draw_table_cell(
 
 
 def moving_figure(moving: Mapping[str, Mapping[str, Any]]) -> Figure:
-    """RMSE of a robot that moves from C to S, by how fast its coil slides; 95 % intervals.
+    """Draw RMSE of a robot that moves from C to S, over the speed of its coil; 95 % intervals.
 
     Args:
-        moving: A summary of trials (m, rad) by duration and arm, with `slide_speed` (m/s) and
-            `stroke` (m), both 0 where the coil is fixed.
+        moving: Summaries of trials (m, rad) by duration and arm, with `slide_speed` (m/s) and
+            `stroke` (m), both 0 for a fixed coil.
 
     Returns:
-        The figure, in cm, rad and mm/s: a column a duration, a marker a stroke, the fixed coil as
-        a band.
+        The figure, in cm, rad and mm/s: a column for each duration, a marker for each stroke, and a
+        band for the fixed coil.
     """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -164,7 +164,7 @@ def moving_figure(moving: Mapping[str, Mapping[str, Any]]) -> Figure:
 def _draw_moving(
     axes: Any, arms: Mapping[str, Any], kind: str, colour: str, markers: Mapping[float, str]
 ) -> None:
-    """One duration: a band for the fixed coil, and dots with intervals by speed and stroke."""
+    """Draw one duration: a band for the fixed coil, and intervals by speed and stroke."""
     unit = _KINDS[kind][1]
     for arm in arms.values():
         if arm["stroke"] == 0.0:
@@ -182,7 +182,7 @@ def _draw_moving(
 
 
 def _set_log(axes: Any, ticks: tuple[float, ...]) -> None:
-    """A logarithmic x with plain numbers at these ticks of every decade."""
+    """Set a logarithmic x axis with plain numbers at these ticks of every decade."""
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     axes.set_xscale("log")
@@ -196,14 +196,14 @@ def _set_log(axes: Any, ticks: tuple[float, ...]) -> None:
 
 
 def causes_figure(causes: Mapping[str, Mapping[str, Any]]) -> Figure:
-    """How much smaller RMSE is with an oscillating coil, by what is wrong with the sensors.
+    """Draw the change of RMSE by an oscillating coil, for each cause of error.
 
     Args:
-        causes: A summary of trials with `position_change` and `rotation_change` (% against a fixed
+        causes: Summaries of trials with `position_change` and `rotation_change` (% against a fixed
             coil) by cause and shape.
 
     Returns:
-        The figure: a row a cause, 95 % intervals, the paper's changes as thin lines.
+        The figure: a row for each cause with 95 % intervals, the paper's changes as thin lines.
     """
     from matplotlib.lines import Line2D
 

@@ -1,4 +1,4 @@
-"""The results as a page of Markdown: every number in it comes from the record of a run."""
+"""The results as a page of Markdown, whose numbers all come from the record of a run."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from string import Template
 from typing import Any
 
 _TEMPLATE = Path(__file__).with_name("page.md")
-_FULL = re.compile("<!-- full run -->\n(.*?)<!-- end -->\n", re.DOTALL)  # what a quick run lacks
+_FULL = re.compile("<!-- full run -->\n(.*?)<!-- end -->\n", re.DOTALL)  # absent from quick runs
 
 
 def page(record: dict[str, Any]) -> str:
-    """The page of a record, as `glissando reproduce` keeps it in results.json."""
+    """Markdown page of a record, as `glissando reproduce` writes it to results.json."""
     results, causes = record["results"], record["results"]["causes"]
     distances = [
         [name, f"{1e3 * at['coil']:.0f}", f"{1e3 * at['minimum']:.0f}"]
@@ -65,12 +65,12 @@ def _change(entry: dict[str, Any]) -> str:
 
 
 def _verdict(claim: dict[str, Any]) -> str:
-    """Whether the claim holds, and how large its effect is."""
+    """Verdict of a claim, and the size of its effect, as a cell."""
     return ", ".join(word for word in (claim["verdict"], claim["size"]) if word) or "–"
 
 
 def _effects(arm: dict[str, Any]) -> list[str]:
-    """What a fixed sensor errs by, and the changes by sliding."""
+    """Cells for the RMSE of a fixed sensor, and its changes by sliding."""
     fixed = f"{100 * arm['fixed_position']['value']:.2f}, {arm['fixed_rotation']['value']:.3f}"
     return [fixed, *(_change(arm[f"{what}_change"]) for what in _WHAT)]
 

@@ -1,6 +1,6 @@
-"""A robot with inertia and a coil on its drive tube: where a slide pays while the robot moves.
+"""Scenes of a robot with inertia and a coil on a drive tube, with slides of different speed.
 
-A pass is the length of the robot, slid over while the robot goes from shape to shape.
+A pass is a slide over the length of the robot while the robot moves from one shape to another.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ kind = "{kind}"
 streams = ["coil"]
 value = [{value}]
 """
-_LAGS = {"time_offset": 0.0125, "slide_lag": 0.01375}  # s: half an exposure, what damps the coil
+_LAGS = {"time_offset": 0.0125, "slide_lag": 0.01375}  # s: half an exposure; lag of the coil
 
 
 def driven_robot(folder: Path) -> Path:
-    """Write the paper's robot with a drive tube and a tracker that exposes; returns its file.
+    """Write the paper's robot with a drive tube and a tracker with exposure; returns its file.
 
-    The tube yields, sticks and slips; the estimator has the lags of both as known parameters. They
-    take the place of the mount and drift that the file states, which are those of a slow slide.
+    The tube is elastic and has friction. The estimator knows the lags of tube and tracker as sensor
+    parameters, which replace the mount and drift of the file, as those hold for a slow slide.
     """
     head = "[physics.imperfections]"
     text = robot_file(ROBOT).read_text(encoding="utf-8")
@@ -48,7 +48,7 @@ def driven_robot(folder: Path) -> Path:
 
 
 def passes_arms(robot: Path) -> dict[str, Scene]:
-    """A fixed coil, and slides of less than one, of one and of several passes."""
+    """Scenes of a fixed coil, and of slides of less than one, one and several passes."""
     scene = Scene(SHAPE, "hold", _DURATION, robot=str(robot), dynamic=True, paced=True)
     length = bench().rod.length
     arms = {"fixed": scene}

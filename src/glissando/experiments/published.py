@@ -1,8 +1,9 @@
-"""The estimator as it was published, to see what of it changes the size of an effect.
+"""Parts of the published estimator, to find which of them changes the size of an effect.
 
-Its factors have plain errors, and their variances are those of a node, whatever the node stands
-for; the roll that a coil does not see is dropped from an error which it still leans on. Source:
-Teetaert, Lilge, Burgner-Kahrs and Barfoot (2025), with the settings of their real robot.
+Its factors have variances per node, whatever span of time and arclength the node represents, and
+simple residuals; the roll that a coil does not measure is dropped from a residual whose other
+components depend on it. Source: Teetaert, Lilge, Burgner-Kahrs and Barfoot (2025), with the
+settings of their real robot.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from glissando.model.sensors.sensors import CoilReadings, PoseReadings
 from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State
 
 PARTS = ("prior", "noise", "roll")
-"""What of the published estimator can be taken: its prior and rate, its noise, its coil."""
+"""Parts that can be used: the prior with its rate, the sensors' noise, the coil's residual."""
 
 RATE = 30.0
 """Time nodes a second of the published settings."""
@@ -39,7 +40,7 @@ _NOISE = np.repeat([2e-5, 2.5e-3], 3)
 
 
 class PublishedPrior(WhiteNoisePrior):
-    """A kinematic prior in the published form: a density is the variance of any node's factor."""
+    """Kinematic prior in the published form, whose densities are used as variances per node."""
 
     def factors(
         self, grid: Grid, state: State, noise_state: State, times: slice
@@ -65,7 +66,7 @@ class PublishedPrior(WhiteNoisePrior):
     def interpolate(
         self, grid: Grid, state: State, noise_state: State, points: Points
     ) -> Interpolation:
-        """The point between nodes; readings there are not widened by what nodes leave open."""
+        """Interpolation between nodes without the covariance that it adds to that of the nodes."""
         per_node = copy(grid)
         for name in ("time_spans", "arclength_spans"):
             object.__setattr__(per_node, name, np.ones(getattr(grid, name).size))
@@ -75,7 +76,7 @@ class PublishedPrior(WhiteNoisePrior):
 
 @dataclass(frozen=True, kw_only=True)
 class SmallAngleCoil(PoseReadings):
-    """A coil whose roll is dropped from the error of a pose, as if roll were small and apart."""
+    """Coil whose residual is that of a pose without its last component, valid for small roll."""
 
     rows = 5
 
@@ -84,7 +85,7 @@ class SmallAngleCoil(PoseReadings):
         return super().residual(at)[..., :5]
 
     def jacobian(self, at: State) -> Array:
-        """The first five rows of the pose's."""
+        """First five rows of the Jacobian of a pose's residual."""
         pose = PoseReadings(
             time=self.time, arclength=self.arclength, values=self.values, cov=np.ones(6),
             mount=self.mount,
@@ -93,9 +94,9 @@ class SmallAngleCoil(PoseReadings):
 
 
 def published_prior(like: Prior) -> WhiteNoisePrior:
-    """The published settings with the base and the rest of another prior.
+    """Published prior with the rest strain and base pose of another prior.
 
-    Raises RobotFileError unless that is kinematic, too.
+    Raises RobotFileError unless the other prior is kinematic, too.
     """
     if not isinstance(like, WhiteNoisePrior):
         raise RobotFileError("The published prior is kinematic; give a robot with such a prior.")
@@ -104,10 +105,10 @@ def published_prior(like: Prior) -> WhiteNoisePrior:
 
 
 def published_readings(readings: Readings, parts: tuple[str, ...], rest: State) -> Readings:
-    """Readings with the published noise, or of a coil with its published error.
+    """Readings with the published noise, and of a coil with the published residual, by `parts`.
 
-    The constant roll that a tracker reports is set once, so that the first reading agrees with
-    the robot at `rest` (N,).
+    The arbitrary constant roll that a tracker reports is chosen so that the first reading agrees
+    with the tip of the robot at `rest` (N,).
     """
     rows = type(readings).rows
     if "noise" in parts:
@@ -124,7 +125,10 @@ def published_readings(readings: Readings, parts: tuple[str, ...], rest: State) 
 
 
 def _noise(step: Array, rate: slice, moving: Array, carried: Array) -> Array:
-    """Covariances (M, 18, 18) of steps along which a field moves the pose and one is carried."""
+    """Covariances (M, 18, 18) of steps `step`: `rate`, strain or velocity, integrates to the pose.
+
+    It and the other field are random walks with the densities (6,) `moving` and `carried`.
+    """
     other = VELOCITY if rate == STRAIN else STRAIN
     cov, h = np.zeros((step.size, DOF, DOF)), step[:, None, None]
     cov[:, POSE, POSE] = h**3 / 3.0 * np.diag(moving)
@@ -134,7 +138,7 @@ def _noise(step: Array, rate: slice, moving: Array, carried: Array) -> Array:
 
 
 def _steps(flat: State, nodes: Index, step: Array, cov: Array, rate: slice) -> Factors:
-    """Factors with the plain errors of steps between `nodes` (M, 2)."""
+    """Factors of steps between `nodes` (M, 2), with residuals of constant strain or velocity."""
     start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
     h, eye = step[:, None, None], np.eye(6)
     xi = se3.log(se3.inverse(start.pose) @ end.pose)

@@ -1,4 +1,4 @@
-"""Everything the paper claims, computed, judged and drawn into a folder."""
+"""Computation of all claims of the paper, with verdicts, a page and figures in a folder."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from glissando.visualization.canvas import save_figure
 from glissando.visualization.film import save_animation
 
 Progress = Callable[[str, int, int], None]
-"""Called with what is being done, how much of it is done, and how much there is."""
+"""Called with the name of the present step, the amount done and the total amount of it."""
 
 
 def reproduce(
@@ -37,23 +37,23 @@ def reproduce(
     The numbers are the same on any number of cores.
 
     Args:
-        claims: What is judged.
-        folder: Where files are written; made if it is missing.
+        claims: Claims to judge.
+        folder: Folder to write into; created if it is missing.
         quick: Whether to run few seeds and scenes.
-        progress: Called as the run goes on.
+        progress: Called during the run.
 
     Returns:
-        The verdicts, and the files written.
+        Verdicts, and paths of the files written.
 
     Raises:
-        ClaimsError: A claim needs a number that nothing computes.
+        ClaimsError: A claim needs a number that is not computed.
         GlissandoError: A trial failed, or Dask or matplotlib is not installed.
     """
     began = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
     film = get_context("spawn").Process(target=_animate, args=(folder, quick), daemon=True)
     with ignoring_interrupts():
-        film.start()  # beside the trials, as its frames are drawn by one core
+        film.start()  # in parallel with the trials, as one core draws its frames
     progress("confidence along the body", 0, 2)
     confidence, trials = confidence_at_coil(quick)
     progress("confidence along the body", 1, 2)
@@ -74,7 +74,7 @@ def reproduce(
     written = [file, text, *save_experiment_figures(results, trials, sliding, scene, folder)]
     progress("animation", 0, 1)
     film.join()
-    # what went wrong in a process of its own is seen where it goes wrong again
+    # if the process failed, draw again here, where the exception is raised
     written.append(folder / _FILM if film.exitcode == 0 else _animate(folder, quick))
     progress("animation", 1, 1)
     return verdicts, written
@@ -116,11 +116,11 @@ def save_experiment_figures(
         results: Sections 'confidence', 'following', 'table', 'moving' and 'causes'.
         trials: Trials of `confidence_at_coil`.
         sliding: Trial of `confidence_follows`.
-        scene: Its scene.
-        folder: Where figures are written; made if it is missing.
+        scene: Scene of that trial.
+        folder: Folder to write into; created if it is missing.
 
     Returns:
-        The files written.
+        Paths of the files written.
     """
     draw: dict[str, Callable[[Any], Any]] = {
         "confidence": lambda section: coil_figure(trials, section),
@@ -137,7 +137,7 @@ def save_experiment_figures(
 
 
 def _animate(folder: Path, quick: bool) -> Path:
-    """The robot moves C → S while the coil slides its whole length, with its confidence tube."""
+    """Write a film of a robot that moves C → S while its coil slides the whole length."""
     scene = Scene("C-to-S", "traverse", 12.0, 0.4, stroke=0.7, cycles=3, time_rate=PAPER_RATE)
     result = trial(scene, seed=0)
     return save_animation(

@@ -1,4 +1,4 @@
-"""Trials of scenes over seeds on Dask: on local processes, or on a cluster by its address."""
+"""Running trials of scenes over seeds with Dask, on local processes or on a cluster."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import distributed
 
 Row = dict[str, str | float | int | bool | None]
-"""The result of a trial: every name of METRICS, and `error`; missing values are None."""
+"""Result of a trial: values of METRICS by name, and `error`; missing values are None."""
 
 METRICS = {
     "position_rmse": "over all truth sites and times, m",
@@ -32,21 +32,21 @@ METRICS = {
     "converged": "1, or 0 for an estimate that stopped early",
     "iterations": "of the estimate",
 }
-"""Numbers of a row, and what they are."""
+"""Metrics of a row by name, with their meaning."""
 
-_IN_FLIGHT = 4  # trials per thread: enough that no worker waits for the next one
-_PATIENCE = 30.0  # s for a scheduler to answer and for a first worker
+_IN_FLIGHT = 4  # trials per thread, so that no worker has to wait for the next one
+_PATIENCE = 30.0  # s to wait for a scheduler's answer and for a first worker
 
 
 def outcome(scene: Scene, seed: int) -> Row:
-    """Simulate, estimate and judge a scene with a seed; raises nothing but an interrupt.
+    """Simulate and estimate a scene with a seed, and compare with truth; never raises an error.
 
     Args:
-        scene: What is simulated and estimated.
+        scene: Scene to simulate and estimate.
         seed: Seed of the robot's imperfections and of all noise.
 
     Returns:
-        The metrics, or None for each of them and the sentence of what went wrong.
+        The metrics; if the trial failed, None for each of them, and the message as `error`.
     """
     try:
         with threadpool_limits(1), warnings.catch_warnings():
@@ -54,7 +54,7 @@ def outcome(scene: Scene, seed: int) -> Row:
             result = trial(scene, seed)
     except GlissandoError as problem:
         return failure(str(problem))
-    except Exception as problem:  # a study outlives an error of any of its cells
+    except Exception as problem:  # an error in one cell does not end a study
         return failure(f"{type(problem).__name__}: {problem}")
     summary, solve = pool(result.errors).summary(), result.posterior.solve
     row: Row = {name: summary[name] for name in METRICS if name in summary}
@@ -63,7 +63,7 @@ def outcome(scene: Scene, seed: int) -> Row:
 
 
 def failure(sentence: str) -> Row:
-    """The row of a trial that failed, with the sentence that says why."""
+    """Row of a failed trial, with the message as `error`."""
     return {**dict.fromkeys(METRICS), "error": sentence or "it failed without a word"}
 
 
@@ -72,15 +72,15 @@ def run_trials(
 ) -> Iterator[tuple[int, Row]]:
     """Run trials on a cluster and yield each as soon as it is done.
 
-    When a worker dies, the trials that waited for it are lost with the one that killed it; each of
-    them is run once more, alone.
+    When a worker dies, the trials queued on it are lost together with the one that killed it. Each
+    of them is run once more at the end, one at a time.
 
     Args:
         client: Client of the cluster, from `cluster`.
         trials: Scenes with their seeds.
 
     Yields:
-        The index of a trial and its row, in the order in which trials end.
+        Index of a trial and its row, in the order in which trials end.
     """
     from distributed import as_completed
     from distributed.scheduler import KilledWorker
@@ -112,21 +112,21 @@ def run_trials(
 
 @contextmanager
 def cluster(address: str | None = None, workers: int | None = None) -> Iterator[distributed.Client]:
-    """Connect to a Dask cluster, or start one of local processes for as long as the context lasts.
+    """Connect to a Dask cluster, or start one of local processes while the context lasts.
 
-    Local processes speak TLS with a key that is made for this cluster and kept in memory: nobody
-    else on the computer can have it run anything.
+    Local processes communicate by TLS with a temporary key that is kept in memory, so that other
+    users of the computer cannot run code on this cluster.
 
     Args:
-        address: Address of a running scheduler; None starts local processes.
-        workers: Number of local processes, one a core unless given.
+        address: Address of a running scheduler; None to start local processes.
+        workers: Number of local processes; None for one a core.
 
     Yields:
-        A client of the cluster, which has at least one worker.
+        Client of the cluster, which has at least one worker.
 
     Raises:
-        GlissandoError: Dask is not installed, nobody answers at the address, no worker joins, or a
-            worker has another version of glissando.
+        GlissandoError: Dask is not installed, no scheduler answers at the address, no worker joins,
+            or a worker has another version of glissando.
     """
     with needing("Trials run on Dask with cryptography", "study"):
         import dask
@@ -136,8 +136,8 @@ def cluster(address: str | None = None, workers: int | None = None) -> Iterator[
         ours = Security.temporary() if address is None else None
     with ExitStack() as stack:
         if address is None:
-            # 50: of logging's levels the one that nothing reaches; errors are in the rows
-            # Dask's statistical profiler would cost a tenth of a trial's time
+            # log level 50 silences all messages below critical; errors are in the rows
+            # Dask's statistical profiler would take a tenth of a trial's time
             unwatched = dask.config.set({"distributed.worker.profile.enabled": False})
             with ignoring_interrupts(), unwatched:
                 local = LocalCluster(
@@ -163,7 +163,7 @@ def cluster(address: str | None = None, workers: int | None = None) -> Iterator[
 
 @contextmanager
 def ignoring_interrupts() -> Iterator[None]:
-    """Let processes that begin inside ignore Ctrl-C: this one hears it, and ends them."""
+    """Let processes started inside the context ignore Ctrl-C; this process ends them on Ctrl-C."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -191,5 +191,5 @@ def _require_workers(client: distributed.Client) -> None:
 
 
 def _version() -> str:
-    """The version of glissando where this runs."""
+    """Version of glissando in the process that calls this."""
     return __version__

@@ -1,6 +1,6 @@
-"""Scenes: a robot, a shape, a slide; simulated with a seed and estimated like any recording.
+"""Scenes: a robot, a shape and a slide, simulated with a seed and estimated like any recording.
 
-The prior of the robot file was chosen on the shapes of TUNED_ON and is judged on REPORTED_ON.
+The prior of the robot file was tuned on the shapes of TUNED_ON and is tested on REPORTED_ON.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from glissando.simulation.simulated_session import COIL_RATE
 
 ROBOT = "sliding700"
 PAPER_RATE = 2.0
-"""Time nodes a second, with which the prior was chosen and the paper's claims are tested."""
+"""Time nodes a second with which the prior was tuned and the paper's claims are tested."""
 TUNED_ON: dict[str, Sequence[Sequence[float]]] = {
     "soft C": [[7, 0]],
     "back half": [[0, 14]],
@@ -50,36 +50,35 @@ TUNED_ON: dict[str, Sequence[Sequence[float]]] = {
     "strong S": [[5, 16]],
     "soft C to strong S": [[7, 0], [5, 16]],
 }
-"""Tendon tensions (N) of the shapes that the prior was chosen on, with seeds 1000 up."""
+"""Tendon tensions (N) of the shapes on which the prior was tuned, with seeds from 1000."""
 REPORTED_ON = ("straight", "C", "S", "C-to-S")
-"""Named shapes of the robot file, with seeds 0 up, that every published number is about."""
-_STILL = 1e-2  # share of its densities over time that the prior of a robot known to be still has
+"""Named shapes of the robot file, with seeds from 0, to which all published numbers refer."""
+_STILL = 1e-2  # factor on the densities over time of the prior for a robot that holds still
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What is simulated and estimated: everything but the seed.
+    """Settings of a simulation and its estimate, except the seed.
 
     Attributes:
         shape: A name of REPORTED_ON or TUNED_ON, or a shape file.
         slide: 'hold', 'oscillate' or 'traverse'.
-        duration: Length of the session, and of the motion if the shape moves, s.
+        duration: Duration of the session, and of the motion if the shape moves, s.
         speed: Speed of the slide, m/s.
         at: Displacement of 'hold', m.
         stroke: Stroke of the other slides, m.
-        cycles: How often they go there and back.
-        flaws: Fields of the imperfections and factors on them.
-        still: Whether the estimator knows that the robot holds still.
-        nodes: Arclength nodes of the grid, the robot file's unless given.
-        time_rate: Time nodes a second, the robot file's unless given.
+        cycles: Number of cycles, there and back, of the other slides.
+        flaws: Names of fields of the imperfections with factors on them.
+        still: Whether the estimator's prior is that of a robot that holds still.
+        nodes: Number of arclength nodes; None for the robot file's nodes.
+        time_rate: Time nodes a second; None for the robot file's rate.
         robot: Shipped robot or robot file that is simulated.
-        prior: The one that is estimated with, if it is another.
-        dynamic: Whether the robot that is simulated has inertia.
-        paced: Whether the estimator knows how long the motion lasts: its time nodes and densities
-            over time are then those of the robot file for a motion as long as the shape's own.
-        published: Parts of the published estimator that take the place of ours, of
-            `published.PARTS`.
-        judged: Arclength up to which truth judges, m.
+        prior: Robot file for the estimate; empty for `robot`.
+        dynamic: Whether the simulated robot has inertia.
+        paced: Whether the rate of time nodes and the prior's densities over time are scaled from
+            the shape's own duration to `duration`.
+        published: Parts of the published estimator that replace ours, of `published.PARTS`.
+        judged: Largest arclength of truth streams that are compared with, m.
     """
 
     shape: str
@@ -103,23 +102,23 @@ class Scene:
 
 @lru_cache(maxsize=8)
 def bench(name: str = ROBOT) -> Bench:
-    """The simulated robot of a name or robot file, on its bench."""
+    """Simulated robot and bench of a shipped robot or robot file."""
     return load_bench(robot_file(name))
 
 
 @lru_cache(maxsize=8)
 def robot(name: str = ROBOT) -> Robot:
-    """The robot of a name or robot file as the estimator knows it."""
+    """Estimator's model of a shipped robot or robot file."""
     return load_robot(name)
 
 
 def known_robot(scene: Scene) -> Robot:
-    """The robot that the scene's estimator believes in."""
+    """Robot that a scene's estimator assumes."""
     return robot(scene.prior or scene.robot)
 
 
 def flaws(scene: Scene) -> Imperfections:
-    """The bench's imperfections, scaled as the scene says."""
+    """Imperfections of the bench, scaled by the scene's factors."""
     out = bench(scene.robot).flaws
     for name, factor in scene.flaws:
         out = replace(out, **{name: factor * getattr(out, name)})
@@ -127,10 +126,10 @@ def flaws(scene: Scene) -> Imperfections:
 
 
 def motion(scene: Scene, seed: int) -> Motion | DynamicMotion:
-    """The shapes of a scene in time, of a robot with the set that the seed gives it."""
+    """Motion of a scene's robot, whose permanent set in curvature is drawn with the seed."""
     scaled = flaws(scene)
     if scaled.set_curvature == 0.0:
-        seed = 0  # without a set all robots are alike: one motion does for every seed
+        seed = 0  # without a set the motion is the same for every seed
     curvature, length = scaled.set_curvature, scaled.set_length
     inertia = scene.dynamic
     return _motion(scene.robot, scene.shape, scene.duration, inertia, curvature, length, seed)
@@ -160,7 +159,7 @@ def _motion(
 
 
 def path(scene: Scene) -> SlidePath:
-    """The slide's path; an ideal stage, fast and as long as the robot, where one is needed."""
+    """Path of the slide; 'traverse' has an ideal stage, fast and as long as the robot."""
     known = bench(scene.robot)
     stage = known.slide
     if scene.slide == "hold":
@@ -171,16 +170,16 @@ def path(scene: Scene) -> SlidePath:
 
 
 def recording(scene: Scene, seed: int) -> Recording:
-    """What the sensors record of a scene with this seed's robot and noise, read into memory."""
+    """Simulated recording of a scene, with the seed's robot and noise, in memory."""
     moved, slide, duration = motion(scene, seed), path(scene), scene.duration
-    used = replace(bench(scene.robot), inertial=np.zeros(0))  # a third of the time, and not used
+    used = replace(bench(scene.robot), inertial=np.zeros(0))  # unused; a third of the time
     session = simulate_session(used, moved, slide, seed=seed, duration=duration, flaws=flaws(scene))
     return Recording.of(session.streams(), session.name, known_robot(scene))
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One estimate of a scene: what went in, what came out, and its errors against truth."""
+    """One estimate of a scene: readings, truth, posterior and errors against truth."""
 
     readings: list[Readings]
     truth: list[Readings]
@@ -189,10 +188,13 @@ class Trial:
 
 
 def trial(scene: Scene, seed: int, other: WhiteNoisePrior | None = None) -> Trial:
-    """Simulate a scene with a seed, estimate it (with an `other` prior), judge it by mocap."""
+    """Simulate a scene with a seed, estimate it, and compare with motion capture.
+
+    An `other` prior replaces that of the scene.
+    """
     known = known_robot(scene)
     parameters, window = known.sensor_parameters, (0.0, scene.duration)
-    if "noise" in scene.published:  # which nothing is correlated in
+    if "noise" in scene.published:  # published noise is uncorrelated: no unknown parameters
         parameters = tuple(parameter for parameter in parameters if parameter.known)
     recorded = recording(scene, seed)
     used, judges = recorded.choose(None, None)
@@ -211,7 +213,7 @@ def trial(scene: Scene, seed: int, other: WhiteNoisePrior | None = None) -> Tria
 
 
 def grid(scene: Scene) -> Grid:
-    """The robot file's grid over the scene, or the finer one that the scene asks for."""
+    """Grid of the robot file over a scene, with the scene's own nodes and rate if it has any."""
     known = known_robot(scene)
     if scene.nodes is not None:
         nodes = np.linspace(0.0, known.length, scene.nodes)
@@ -224,9 +226,9 @@ def grid(scene: Scene) -> Grid:
 
 
 def prior(scene: Scene) -> Prior:
-    """The robot file's prior, firmer over time if it is known that the robot holds still.
+    """Prior of the robot file, with densities over time scaled for `still` and `paced` scenes.
 
-    Raises RobotFileError where a separable prior, which has a time scale, is asked to hold still.
+    Raises RobotFileError for such a scene with a separable prior, which has a time scale instead.
     """
     known, pace = known_robot(scene).prior, _pace(scene)
     if "prior" in scene.published:
@@ -249,6 +251,6 @@ def prior(scene: Scene) -> Prior:
 
 
 def _pace(scene: Scene) -> float:
-    """How many times faster the motion is than the shape's own, to an estimator that knows it."""
+    """Factor by which a paced scene is faster than the shape's own motion; 1 for other scenes."""
     time = bench(scene.robot).shape(scene.shape).time if scene.paced else np.zeros(1)
     return float(np.ptp(time)) / scene.duration if time.size > 1 else 1.0

@@ -1,4 +1,4 @@
-"""Bootstrap intervals over seeds."""
+"""Bootstrap intervals of statistics over seeds."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from scipy.special import stdtrit
 from glissando.geometry.se3 import Array
 
 COLUMNS = ("position_rmse", "rotation_rmse", "nees_position", "coverage95_position", "converged")
-"""Metrics of a trial that `summary` takes, in the order of its columns."""
+"""Metrics of a trial, in the order of the columns of `summary`'s argument."""
 
 
 def bootstrap(count: int, resamples: int) -> NDArray[np.intp]:
-    """Indices (1 + R, S) of a sample of S, then of R samples drawn from it; the same every time."""
+    """Indices (1 + R, S) of a sample of S and of R resamples of it, from a fixed seed."""
     draws = np.random.default_rng(0).integers(count, size=(resamples, count))
     return np.vstack([np.arange(count), draws])
 
@@ -26,19 +26,21 @@ def rms(values: Array) -> Array:
 
 
 def interval(values: Array, count: int, most: float | None = None) -> dict[str, Any]:
-    """The value of a sample of seeds, and its 95 % interval.
+    """Value of a statistic over seeds, and its 95 % interval.
 
-    Samples drawn again from a few seeds are too alike: of two seeds every one lies between both,
-    where the truth is half of the time. The resamples are therefore spread about the value as
-    Student's t is, by logarithms where no number is zero, so that the interval stays positive.
+    Resamples of few seeds vary too little: with two seeds, all lie between the two values, an
+    interval that contains the true value half of the time. Distances of the resamples' quantiles
+    from the value are therefore multiplied by √(S / (S − 1)) and by the ratio of the quantiles of
+    Student's t and the normal distribution. For a positive statistic without an upper limit these
+    are distances of logarithms, so that the interval stays positive.
 
     Args:
-        values: A statistic (1 + R,) of the samples of `bootstrap`, from zero up.
+        values: A non-negative statistic (1 + R,) of the samples of `bootstrap`.
         count: Number of seeds.
-        most: The largest value there can be, if there is one.
+        most: Upper limit of the statistic; None if there is none.
 
     Returns:
-        `value`, `low` and `high`; one seed has None for both ends.
+        `value`, `low` and `high`; for one seed both ends are None.
     """
     value = float(values[0])
     if count < 2:
@@ -59,8 +61,9 @@ def summary(outcomes: Array, fixed: Array | None = None) -> dict[str, Any]:
         fixed: The same (S', 5) for the fixed sensor; rows of the same seed are compared.
 
     Returns:
-        The number of seeds, the share that converged, and an interval each for position (m),
-        position_cm, rotation (rad), position_change and rotation_change (%), nees and coverage.
+        Number of seeds, share of converged estimates, and an interval for each of position (m),
+        position_cm, rotation (rad), nees, coverage and, if `fixed` is given, position_change and
+        rotation_change (%).
     """
     seeds = len(outcomes) if fixed is None else min(len(outcomes), len(fixed))
     rows = bootstrap(seeds, 4000)

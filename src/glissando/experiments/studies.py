@@ -1,4 +1,4 @@
-"""The comparisons of the paper: which scenes, over how many seeds, and the numbers they give."""
+"""Comparisons of the paper: their scenes, numbers of seeds, and results."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from glissando.experiments.statistics import COLUMNS, summary
 from glissando.geometry.se3 import Array
 
 Progress = Callable[[int, int], None]
-"""Called with the number of trials done and of all."""
+"""Called with the number of trials done and the total number."""
 
 Arms = dict[str, Scene]
 """Scenes to compare, by name; the first is the fixed sensor."""
@@ -35,14 +35,14 @@ CAUSES: dict[str, dict[str, Any]] = {
     "published noise of the sensor": {"published": ("noise",)},
     "published prior and settings": {"published": ("prior",)},
 }
-"""What is changed of a scene, one cause at a time: imperfections, what judges, the estimator."""
+"""Changes to a scene, one cause at a time: imperfections, truth that is compared, estimator."""
 
 _QUICK_CAUSES = ("as it is", "tubes without set")
 
 SEEDS = {"table": 100, "beyond": 12, "moving": 4, "causes": 5, "passes": 30}
 QUICK_SEEDS = {"table": 8, "beyond": 8, "moving": 2, "causes": 2, "passes": 0}
-"""Seeds of the table, of its arms beyond the paper's, of the moving robot, of the causes and of
-the robot with inertia, which a quick run leaves out."""
+"""Number of seeds of the table, its arms beyond the paper's, the moving robot, the causes, and the
+robot with inertia, which a quick run leaves out."""
 
 _CYCLES = 16.44  # s that three cycles of 60 mm at 24 mm/s take with the stage's acceleration
 _LENGTH = bench().rod.length
@@ -53,9 +53,9 @@ _QUICK_MOVING = "60 mm at 24 mm/s"
 
 
 def table_arms(shape: str) -> Arms:
-    """A fixed sensor, the paper's oscillation, and slides over the whole length, for one shape.
+    """Scenes of a fixed sensor, the paper's oscillation, and slides over the whole length.
 
-    The estimator of the 'still' arm knows that the robot holds still.
+    The prior of the 'still' arm is that of a robot that holds still.
     """
     fixed = Scene(shape, "hold", _CYCLES, time_rate=PAPER_RATE)
     slow = replace(fixed, slide="traverse", speed=0.1, stroke=_LENGTH, cycles=1)
@@ -69,7 +69,7 @@ def table_arms(shape: str) -> Arms:
 
 
 def _moving_arms(duration: float) -> Arms:
-    """A robot that moves C → S in `duration` seconds while the coil slides at several speeds."""
+    """Scenes of a robot that moves C → S in `duration` s, with the coil at several speeds."""
     fixed = Scene("C-to-S", "hold", duration, time_rate=PAPER_RATE)
     arms = {"fixed": fixed}
     for speed in (0.006, 0.012, 0.024):
@@ -95,7 +95,7 @@ def _cause_arms(changes: dict[str, Any]) -> Arms:
 
 
 class Studies:
-    """The scenes of a run with their numbers of seeds; few of both for a quick run."""
+    """Scenes of a run with their numbers of seeds; fewer of both for a quick run."""
 
     def __init__(self, *, quick: bool) -> None:
         self.seeds = QUICK_SEEDS if quick else SEEDS
@@ -114,15 +114,15 @@ class Studies:
             "passes": {},
         }
         if not quick:
-            self._folder = TemporaryDirectory()  # of the robot's file, as long as this object
+            self._folder = TemporaryDirectory()  # holds the robot's file while this object exists
             self._arms["passes"] = {"": passes_arms(driven_robot(Path(self._folder.name)))}
 
     def run(self, progress: Progress | None = None) -> dict[str, Any]:
         """Run all trials on the cores of this machine and summarise them.
 
         Returns:
-            Sections table, moving, speed (the fastest slide of a moving robot against the
-            slowest), causes and passes (a robot with inertia; empty in a quick run).
+            Summaries in the sections table, moving, speed (fastest slide against the slowest, of a
+            moving robot), causes, and passes (a robot with inertia; empty in a quick run).
         """
         plan = []
         for section, groups in self._arms.items():
@@ -158,14 +158,14 @@ class Studies:
 def run_plan(
     plan: Sequence[tuple[Scene, int]], progress: Progress | None = None
 ) -> dict[Scene, Array]:
-    """Run scenes over seeds on the cores of this machine; the same numbers on any number of them.
+    """Run scenes over seeds on all cores; results do not depend on the number of cores.
 
     Args:
         plan: Scenes, each with its number of seeds, which count from 0.
         progress: Called after every trial.
 
     Returns:
-        For every scene a row of COLUMNS (S, 5) for each of its seeds.
+        Rows of COLUMNS (S, 5), one for each seed, by scene.
 
     Raises:
         GlissandoError: A trial failed, or Dask is not installed.
@@ -173,7 +173,7 @@ def run_plan(
     seeds = dict[Scene, int]()
     for scene, count in plan:
         seeds[scene] = max(count, seeds.get(scene, 0))
-    # by seeds: scenes of a seed have motions in common, and the last trials are short ones
+    # seed by seed: scenes of a seed share motions, and the last trials are short
     rounds = range(max(seeds.values(), default=0))
     trials = [(scene, seed) for seed in rounds for scene, count in seeds.items() if seed < count]
     out = {scene: np.empty((count, len(COLUMNS))) for scene, count in seeds.items()}
@@ -193,13 +193,13 @@ def _against_fixed(errors: dict[Scene, Array], arms: Arms) -> dict[str, dict[str
 
 
 def _against(sliding: Array, fixed: Array) -> dict[str, Any]:
-    """A sliding sensor's summary, with what the fixed one errs by."""
+    """Summary of a sliding sensor against a fixed one, with the errors of the fixed one."""
     alone = summary(fixed)
     return summary(sliding, fixed) | {f"fixed_{w}": alone[w] for w in ("position", "rotation")}
 
 
 def _mean_speed(scene: Scene) -> float:
-    """Mean of the slide's |speed| over a scene, m/s."""
+    """Mean absolute speed of the slide over a scene, m/s."""
     if scene.slide == "hold":
         return 0.0
     return float(np.mean(np.abs(path(scene).speed_at(np.linspace(0.0, scene.duration, 2001)))))

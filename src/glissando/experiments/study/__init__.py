@@ -1,1 +1,1 @@
-"""Studies: what comes of every combination of settings, over many seeds, on any Dask cluster."""
+"""Studies: errors over all combinations of settings and many seeds, on any Dask cluster."""

@@ -13,13 +13,13 @@ _COLOUR = "#0072B2"
 
 
 def study_figure(summary: dict[str, Any]) -> Any:
-    """Position RMSE in mm above, share inside the 95 % ellipsoid below, a column an axis.
+    """Draw position RMSE, mm, and the share inside the 95 % ellipsoid, over each axis of a study.
 
     Args:
-        summary: What `summarise` gives; bars are its 95 % intervals, none of one seed.
+        summary: Result of `summarise`, whose 95 % intervals are drawn as bars.
 
     Returns:
-        The axes (2, C).
+        Axes (2, C) of matplotlib: RMSE above, share below, a column for each axis of the study.
 
     Raises:
         GlissandoError: matplotlib is not installed.
@@ -43,7 +43,7 @@ def study_figure(summary: dict[str, Any]) -> Any:
 
 
 def _places(axes: Any, values: list[Any]) -> list[float]:
-    """Where values stand: numbers where they are, anything else side by side under its name."""
+    """Abscissas of values: numbers as they are, others side by side with ticks of their names."""
     if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
         return [float(v) for v in values]
     axes.set_xticks(range(len(values)), [str(v) for v in values])

@@ -1,4 +1,4 @@
-"""What a study asks: settings as a TOML file names them, and a cell for every combination."""
+"""Plan of a study: settings from a TOML file, and a cell for every combination and seed."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from glissando.model.table import Table
 from glissando.simulation.imperfections import PARTS
 
 Value = str | float | int | bool | None
-"""A setting's value; None is left to the robot file."""
+"""Value of a setting; None to take that of the robot file."""
 
-_MOST = 1_000_000  # cells
+_MOST = 1_000_000  # most cells of a study
 
 
 class StudyError(GlissandoError):
-    """A study's file, or the folder it is to fill, is not as it should be."""
+    """A study's file is invalid, or its folder holds other results."""
 
 
 def _number(table: Table, key: str, *, positive: bool = True) -> Value:
@@ -38,7 +38,7 @@ def _number(table: Table, key: str, *, positive: bool = True) -> Value:
     return value
 
 
-_SEEDS = 2**32  # more are no count
+_SEEDS = 2**32  # largest count
 
 
 def _count(table: Table, key: str, default: int | None = None, *, least: int = 1) -> int:
@@ -49,7 +49,7 @@ def _count(table: Table, key: str, default: int | None = None, *, least: int = 1
 
 
 _FACTOR = partial(_number, positive=False)
-_SCALED = [part for part in PARTS if part not in ("roll", "gyro", "accelerometer")]  # of the coil
+_SCALED = [part for part in PARTS if part not in ("roll", "gyro", "accelerometer")]
 _NOISE = [part for part in _SCALED if part not in ("mocap", "set")]
 
 SETTINGS: dict[str, tuple[Callable[[Table, str], Value], Value]] = {
@@ -68,10 +68,10 @@ SETTINGS: dict[str, tuple[Callable[[Table, str], Value], Value]] = {
     "noise": (_FACTOR, 1.0),
     **dict.fromkeys(_SCALED, (_FACTOR, 1.0)),
 }
-"""What a study may set: how each is read, and its value unless given.
+"""Settings of a study: function that reads each, and its default.
 
-`robot` is simulated and `prior`, unless empty the same, a robot file estimated with. Lengths m,
-times s. `noise` scales every imperfection of the coil, and those after it one part each.
+`robot` is simulated; `prior` is the robot file for the estimate, empty for `robot`. Lengths are in
+m, times in s. `noise` scales all imperfections of the coil; the settings after it scale one part.
 """
 
 
@@ -84,10 +84,10 @@ class Cell:
     """One combination of settings with one seed.
 
     Attributes:
-        id: A hash of what the settings mean, files' contents included, and of the seed.
-        settings: Value of every setting by its name.
+        id: Hash of the scene, the content of its files, and the seed.
+        settings: Values of all settings by name.
         seed: Seed of robot and noise.
-        scene: What the settings make.
+        scene: Scene of these settings.
     """
 
     id: str
@@ -101,12 +101,12 @@ class Study:
     """A sweep over combinations of settings.
 
     Attributes:
-        name: What the study is called.
-        axes: Values of the settings that are combined.
-        fixed: Values of the settings that all cells share.
-        seeds: Seeds of robot and noise, the same in every combination, which are so compared on the
-            same draws.
-        folder: Where robot and shape files are looked for.
+        name: Name of the study.
+        axes: Values of the settings that are combined, by name.
+        fixed: Values of the settings that all cells share, by name.
+        seeds: Seeds of robot and noise, the same for all combinations, so that these are compared
+            on the same draws.
+        folder: Folder in which robot and shape files are searched.
     """
 
     name: str
@@ -116,11 +116,11 @@ class Study:
     folder: Path
 
     def __len__(self) -> int:
-        """The number of cells."""
+        """Number of cells."""
         return int(np.prod([len(values) for values in self.axes.values()])) * len(self.seeds)
 
     def cells(self) -> list[Cell]:
-        """Every cell, seeds varying fastest. Raises GlissandoError for an impossible scene."""
+        """All cells, seeds varying fastest. Raises GlissandoError for an impossible scene."""
         defaults = {name: default for name, (_, default) in SETTINGS.items()} | self.fixed
         return [
             cell
@@ -138,7 +138,7 @@ class Study:
 
 
 def load_study(file: Path) -> Study:
-    """The study of a TOML file. Raises StudyError naming the key that is wrong."""
+    """Read the study of a TOML file. Raises StudyError naming the key that is wrong."""
     table = read_toml(file, StudyError)
     name = table.text("name", file.stem)
     first, seeds = _count(table, "first_seed", 0, least=0), _count(table, "seeds", 1)
@@ -158,7 +158,7 @@ def load_study(file: Path) -> Study:
 
 
 def _require_effect(table: Table, fixed: dict[str, Value], axes: dict[str, list[Value]]) -> None:
-    """Refuse settings that change nothing, whose results would look as if they did not matter."""
+    """Raise StudyError for settings that have no effect with the slides of the study."""
     slides = axes.get("slide") or [fixed.get("slide", SETTINGS["slide"][1])]
     for key in (*fixed, *axes):
         of = _OF_SLIDES.get(key, ())
@@ -168,7 +168,7 @@ def _require_effect(table: Table, fixed: dict[str, Value], axes: dict[str, list[
 
 
 def _read(table: Table, read: Callable[[Table, str], Any]) -> dict[str, Any]:
-    """The settings of a table; a key that is none is an error that names the one it resembles."""
+    """Read the settings of a table; for an unknown key, raise an error that names a similar one."""
     settings = {key: read(table, key) for key in table.names() if key in SETTINGS}
     for name in SETTINGS:
         table.skip(name)
@@ -191,9 +191,9 @@ def _axis(table: Table, key: str) -> list[Value]:
 
 
 def _scene(settings: dict[str, Value], folder: Path) -> Scene:
-    """The scene of settings; raises GlissandoError for an impossible one.
+    """Scene of settings. Raises GlissandoError for an impossible one.
 
-    What is not given is the robot's: stroke and speed of its stage, and as many cycles as last.
+    By default, stroke and speed are those of the robot's stage, and cycles last for the duration.
     """
     given: dict[str, Any] = dict(settings)
     for key in ("robot", "prior"):
@@ -215,7 +215,7 @@ def _scene(settings: dict[str, Value], folder: Path) -> Scene:
             factors += [(field, factor) for field in PARTS[part]]
     scene = Scene(**given, flaws=tuple(factors))
     known.shape(scene.shape)
-    for part_of in (path, prior, grid):  # each raises for what cannot be
+    for part_of in (path, prior, grid):  # each raises for an impossible scene
         part_of(scene)
     if known_robot(scene).length != known.rod.length:
         raise StudyError(
@@ -226,6 +226,6 @@ def _scene(settings: dict[str, Value], folder: Path) -> Scene:
 
 
 def _content(name: str) -> str:
-    """A digest of a file, so that a cell is another when its robot is; a name as it is."""
+    """SHA-256 of a file's content, so that an id depends on it; a name of no file unchanged."""
     file = Path(name)
     return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else name

@@ -1,7 +1,8 @@
-"""Results of a study on disk: a Parquet file for each batch as it comes, one table at the end.
+"""Results of a study on disk: a Parquet file for each batch, and one table at the end.
 
-A part is written whole or not at all, so whatever kills the program leaves whole parts. The table
-depends on the study alone: not on the order of cells, on workers, or on how often it was resumed.
+Each file is written whole or not at all, so that a killed program leaves only complete files. The
+table depends on the study alone: not on the order of cells, the workers, or how often the study was
+resumed.
 """
 
 from __future__ import annotations
@@ -24,31 +25,31 @@ if TYPE_CHECKING:
     import pyarrow
 
 TABLE = "study.parquet"
-"""The file of the joined table."""
+"""Name of the file with the joined table."""
 
 Progress = Callable[[int, int], None]
-"""Called with the number of cells done, and of those that failed among them."""
+"""Called with the number of cells done, and the number that failed among them."""
 
 _PARTS, _KEY = "parts", b"glissando"
-_BATCH, _PAUSE = 100, 2.0  # cells, and seconds, after which a part is written
+_BATCH, _PAUSE = 100, 2.0  # cells, or seconds, after which a batch is written
 
 
 def parquet() -> Any:
-    """The module pyarrow.parquet. Raises GlissandoError when it is not installed."""
+    """The module pyarrow.parquet. Raises GlissandoError if it is not installed."""
     with needing("Studies are kept in Parquet files by pyarrow", "study"):
         import pyarrow.parquet
     return pyarrow.parquet
 
 
 class Store:
-    """The folder of a study: batches of rows are added, and joined to one table.
+    """Folder of a study, to which batches of rows are added and joined to one table.
 
     Attributes:
-        rows: Rows of all batches by the ids of their cells.
+        rows: Rows of all batches, by the ids of their cells.
     """
 
     def __init__(self, study: Study, folder: Path, *, resume: bool) -> None:
-        """Open the folder; StudyError for results of another version, or any unless `resume`."""
+        """Open the folder. StudyError if it has results, unless `resume` and of this version."""
         self._study, self._folder, self._parts = study, folder, folder / _PARTS
         self._number = 0
         self.rows: dict[str, Row] = {}
@@ -72,7 +73,7 @@ class Store:
         self._number = 1 + int(part.name.split("-")[0])
 
     def add(self, rows: dict[str, Row]) -> None:
-        """Write a batch of rows by the ids of their cells; nothing for none."""
+        """Write a batch of rows, by the ids of their cells; an empty batch is not written."""
         if not rows:
             return
         # two studies that fill a folder at once must not overwrite each other's
@@ -118,7 +119,7 @@ def run_cells(
     store: Store,
     progress: Progress | None = None,
 ) -> None:
-    """Run cells on a cluster; rows go to the store as they come, also when interrupted."""
+    """Run cells on a cluster and add their rows to the store, also if interrupted."""
     failed, written = 0, time.monotonic()
     batch: dict[str, Row] = {}
     trials = [(cell.scene, cell.seed) for cell in cells]

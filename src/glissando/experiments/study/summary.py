@@ -1,4 +1,4 @@
-"""What a study says: error and confidence against each axis, with 95 % intervals."""
+"""Summary of a study: error and coverage over each axis, with 95 % intervals."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from glissando.experiments.study.plan import Study
 from glissando.geometry.se3 import Array
 
 _MEANS = {"nees_position": None, "coverage95_position": 1.0, "converged": 1.0}
-"""Metrics of which the mean counts, and the most that they can be."""
+"""Metrics of which the mean is taken, with their upper limits."""
 
 
 def summarise(study: Study, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Summarise the rows of the joined table of a study.
 
     Returns:
-        Counts, sentences of errors with their numbers, and under `axes` a list of points for each
-        axis of two values or more, or for 'seeds' alone. A point pools the cells that have its
-        `value`, whatever the others: RMSE (m, rad), NEES and coverage, each with the 95 % interval
-        of drawing the seeds again: all cells of a seed have the same robot, tracker and noise. One
-        seed has no interval.
+        Numbers of cells and failures, counts of failures by message, and under `axes` a list of
+        points for each axis of two values or more, or else for 'seeds' alone. A point pools all
+        cells with its `value`: RMSE (m, rad), NEES and coverage, each with a 95 % interval by
+        resampling of seeds, as all cells of a seed have the same robot, tracker and noise. One seed
+        has no interval.
     """
     errors = Counter(row["error"] for row in rows if row["error"] is not None)
     points = {
@@ -66,7 +66,7 @@ def _point(value: Any, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def print_summary(summary: dict[str, Any], console: Console) -> None:
-    """A table of the points of every axis, and each sentence of what failed with its number."""
+    """Print a table of the points of every axis, and the count of each failure's message."""
     title = f"{escape(summary['name'])}: {summary['cells']:,} cells, {summary['failed']:,} failed"
     look: dict[str, Any] = {"box": SIMPLE_HEAD, "pad_edge": False, "collapse_padding": True}
     table = Table(title=title, caption="in brackets 95 % intervals, seeds drawn again", **look)
