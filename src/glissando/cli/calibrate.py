@@ -84,7 +84,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     given: Path = options.session
     is_log = given.suffix == ".mcap" and not given.is_dir()
     is_session = is_log or (given / LOG).is_file()
-    result, written = (_of_session if is_session else _of_recording)(options)
+    result, written = (_calibrate_session if is_session else _calibrate_recording)(options)
     if options.out:
         result.save(options.out)
         written.insert(0, options.out)
@@ -104,25 +104,25 @@ def _calibrate(options: argparse.Namespace) -> int:
     return 0
 
 
-def _of_session(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
+def _calibrate_session(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
     """Calibrate a session; returns the result, and the path of the recording written, if any."""
     if options.out is None:
         raise GlissandoError("A session is kept as it is: give --out FILE for what is found.")
     if options.session.is_dir():
         options.session = options.session / LOG
     data = rig_data(read_session(options.session), options.coil)
-    robot = load_robot(_named(options, data))
+    robot = load_robot(_robot_name(options, data))
     with working("calibrating"):
         result = calibrate(data, robot)
     if options.recording is None:
         return result, []
     made = apply(result, data, robot)
-    where = _copied(_named(options, data))
-    save_recording(made, options.recording, where, _listed(result))
+    where = _robot_source(_robot_name(options, data))
+    save_recording(made, options.recording, where, _calibration_entries(result))
     return result, [options.recording]
 
 
-def _of_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
+def _calibrate_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]:
     """Calibrate a recording; returns the result, and the paths of the recordings written."""
     folder: Path = options.session
     folder = folder if folder.name.strip(".") else folder.resolve()  # "." has no name
@@ -139,9 +139,9 @@ def _of_recording(options: argparse.Namespace) -> tuple[Calibration, list[Path]]
         result = calibrate(data, robot)
     made = calibrated(recording, result, data, robot)
     named = options.robot or _stated_robot(folder, robot)
-    where = _copied(named if options.robot else beside(folder, named))
+    where = _robot_source(named if options.robot else beside(folder, named))
     out = options.recording or folder.with_name(f".{folder.name}-calibrated")
-    save_recording(made, out, where, _listed(result))
+    save_recording(made, out, where, _calibration_entries(result))
     if options.recording:
         return result, [out]
     folder.rename(original)
@@ -155,7 +155,7 @@ def _stated_robot(folder: Path, robot: Robot) -> str:
     return str(read_document(file).get("robot", "")) if file.is_file() else robot.name
 
 
-def _listed(result: Calibration) -> dict[str, dict[str, float | str]]:
+def _calibration_entries(result: Calibration) -> dict[str, dict[str, float | str]]:
     """Calibrated constants as entries of recording.toml, by name."""
     return {
         name: {"value": float(f"{value:.6g}"), "std": float(f"{std:.2g}"), "unit": unit}
@@ -163,7 +163,7 @@ def _listed(result: Calibration) -> dict[str, dict[str, float | str]]:
     }
 
 
-def _named(options: argparse.Namespace, data: RigData) -> str:
+def _robot_name(options: argparse.Namespace, data: RigData) -> str:
     """Name or file of the robot of --robot, else of the session's, whose file may be beside it."""
     name = options.robot or data.robot
     if not name:
@@ -174,7 +174,7 @@ def _named(options: argparse.Namespace, data: RigData) -> str:
     return name if options.robot else beside(options.session.parent, name)
 
 
-def _copied(robot: str) -> str | Path:
+def _robot_source(robot: str) -> str | Path:
     """Name of a shipped robot, or path of another robot's file, which a recording copies."""
     return robot if not robot or robot in shipped_robots() else robot_file(robot)
 

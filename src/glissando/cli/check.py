@@ -106,7 +106,7 @@ def _check(options: argparse.Namespace) -> int:
             raise GlissandoError(f"--store-tube {options.store_tube} is a folder; name a file.")
         require_replaceable("--store-tube", options.store_tube, options.target, options.recording)
         require_writable(options.store_tube.parent, "--store-tube")
-        _require_tubes_own(options.store_tube, options.robot)
+        _require_tube_file(options.store_tube, options.robot)
     _refuse_unused(options)
     if options.draws is not None:
         return check_draws(options)
@@ -135,7 +135,7 @@ def _check(options: argparse.Namespace) -> int:
     return 0 if shown.posterior.solve.converged else 1
 
 
-def _require_tubes_own(file: Path, robot: str | None) -> None:
+def _require_tube_file(file: Path, robot: str | None) -> None:
     """Raise GlissandoError unless the file is new, the --robot file, or has a [tube] already."""
     if not file.exists() or (robot and Path(robot).exists() and file.samefile(robot)):
         return

@@ -89,8 +89,8 @@ def _robot_and_layout(
         raise RecordingError(
             f"{recording.name} has no readings from {seconds(*window)} s; give another --window."
         )
-    if left := [r.label for r in chosen if not len(r)]:
-        say(f"Without {', '.join(left)}, which read nothing then.")
+    if empty := [r.label for r in chosen if not len(r)]:
+        say(f"Without {', '.join(empty)}, which read nothing then.")
     return robot, (robot.grid(*window, readings), readings)
 
 

@@ -111,7 +111,7 @@ def _estimate(options: argparse.Namespace) -> int:
     else:
         _print(run, Console())
         if scan:
-            print_loads(run.posterior, scan, Console(), tendons=_pulled(run))
+            print_loads(run.posterior, scan, Console(), tendons=_has_tendons(run))
         if written:
             Console().print("Wrote " + ", ".join(str(path) for path in written), markup=False)
     return 0 if run.posterior.solve.converged else 1
@@ -122,7 +122,7 @@ _SHOWN = 5  # times shown of rejected readings
 _NEEDED = {"h5netcdf": "netcdf", "h5py": "netcdf", "matplotlib": "plot"}  # extras, for --out
 
 
-def _pulled(run: Run) -> bool:
+def _has_tendons(run: Run) -> bool:
     """Whether the robot file has tendons, or some readings are of tendons, which span the robot."""
     return run.robot.tendons is not None or any(r.spans for r in run.readings)
 
@@ -194,14 +194,14 @@ def _checked_query(
             f"{arclength[row]:g} m lies outside {seconds(*window, decimals=6)} s or the robot, "
             f"0 to {robot.length:g} m; correct or delete that line."
         )
-    answers, begins = _answers(options), (",".join(QUERY_COLUMNS),)
+    answers, begins = _answers_file(options), (",".join(QUERY_COLUMNS),)
     if options.out is None:
         require_results_folder(answers.parent)
     require_replaceable("--query: the answers,", answers, options.query, begins=begins)
     return time, arclength
 
 
-def _answers(options: argparse.Namespace) -> Path:
+def _answers_file(options: argparse.Namespace) -> Path:
     """Path of the file with the answers to a query."""
     return (options.out or Path()) / "query.csv"
 
@@ -222,8 +222,8 @@ def _write(
     """Write the requested files, and delete those of an earlier run in --out."""
     if options.out is None:
         if query is not None:
-            write_query(run.posterior, query, _answers(options), loads=options.loads)
-        return [] if query is None else [_answers(options)]
+            write_query(run.posterior, query, _answers_file(options), loads=options.loads)
+        return [] if query is None else [_answers_file(options)]
     shown = run.posterior, run.readings, run.truth
     with renewed_folder(options.out, _OUTPUTS) as building, working("writing the results") as work:
         written = write_run(run, building, **more)
@@ -247,7 +247,7 @@ def _write(
             )
             written.append(page)
         if query is not None:
-            answers = building / _answers(options).name
+            answers = building / _answers_file(options).name
             write_query(run.posterior, query, answers, loads=options.loads)
-            written.append(_answers(options))
+            written.append(_answers_file(options))
     return [options.out / path.name for path in written]

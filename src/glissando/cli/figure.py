@@ -65,7 +65,7 @@ def add_to(commands: Commands) -> None:
 def _figure(options: argparse.Namespace) -> int:
     require_ending(options.out)
     require_writable(options.out.parent)
-    look = _look(options)
+    appearance = _appearance(options)
     times = None if options.times is None else [number("--times", t) for t in options.times]
     if times == []:
         raise GlissandoError("--times names no time; give seconds, separated by commas.")
@@ -82,14 +82,14 @@ def _figure(options: argparse.Namespace) -> int:
     shown = posterior_shown(options)
     with working("drawing"):
         if options.kind == "shape":
-            drawn: Any = shape_figure(shown.posterior, shown.truth, times, **look)
+            drawn: Any = shape_figure(shown.posterior, shown.truth, times, **appearance)
         elif options.kind == "confidence":
-            drawn = confidence_figure(shown.posterior, shown.readings, **look)
+            drawn = confidence_figure(shown.posterior, shown.readings, **appearance)
         elif options.kind == "contacts":
             scan = scan_contacts(shown.posterior, mapped_times(shown.posterior))
-            drawn = contact_figure(scan, **look)
+            drawn = contact_figure(scan, **appearance)
         else:
-            drawn = error_figure(shown.posterior, shown.truth, **look)
+            drawn = error_figure(shown.posterior, shown.truth, **appearance)
         save_figure(drawn, options.out)
     print(f"Wrote {options.out}")
     if shown.complaint:
@@ -97,7 +97,7 @@ def _figure(options: argparse.Namespace) -> int:
     return 0 if shown.posterior.solve.converged else 1
 
 
-def _look(options: argparse.Namespace) -> dict[str, Any]:
+def _appearance(options: argparse.Namespace) -> dict[str, Any]:
     """Keyword arguments `size` (inches) and `style` of the functions that draw figures."""
     size = [number("--size", text) / INCH for text in options.size or ()]
     least, most = SIDES
@@ -108,10 +108,10 @@ def _look(options: argparse.Namespace) -> dict[str, Any]:
             f"--size {','.join(options.size)}: give width and height in mm, from {least:g} to "
             f"{most:g}."
         )
-    look: dict[str, Any] = {"size": (size[0], size[1])} if size else {}
+    appearance: dict[str, Any] = {"size": (size[0], size[1])} if size else {}
     points = options.font_size
     if points is not None:
         if not 0.0 < points <= _LARGEST:
             raise GlissandoError(f"--font-size {points:g}: give points, up to {_LARGEST:g}.")
-        look["style"] = {"font.size": points, "axes.titlesize": points}
-    return look
+        appearance["style"] = {"font.size": points, "axes.titlesize": points}
+    return appearance

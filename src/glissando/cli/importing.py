@@ -86,7 +86,7 @@ def add_to(commands: Commands) -> None:
 def _import(options: argparse.Namespace) -> int:
     if options.estimate:
         return _import_estimate(options)
-    arclength = {name: _place(text) for name, text in pairs(options.arclength).items()}
+    arclength = {name: _arclength_or_path(text) for name, text in pairs(options.arclength).items()}
     shift = {name: number("--shift", text) for name, text in pairs(options.shift).items()}
     rates = _rates(options.rate, options.files)
     paths = [place for place in arclength.values() if isinstance(place, Path)]
@@ -219,7 +219,7 @@ def number(option: str, text: str) -> float:
     return value
 
 
-def _place(text: str) -> float | Path:
+def _arclength_or_path(text: str) -> float | Path:
     if Path(text).is_file():
         return Path(text)
     return number("--arclength, where it is no file,", text)

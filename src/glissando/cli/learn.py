@@ -94,34 +94,34 @@ def _learn(options: argparse.Namespace) -> int:
     _require_writable(options)
     if is_of_tendons(recordings, options):
         return learn_from_tendons(recordings, document, options)
-    _require_one_way(options)
+    _require_one_calibration(options)
     if options.calibrate or options.joint:
         document = without_constants(document, options.truth)
         robot = parse_robot(Table(document, "learned", GlissandoError))
     cases = [_case(recording, options).while_moving(robot) for recording in recordings]
     for case in cases:
         _examine(case, robot, options)
-    begun, result, std = _searched(document, cases, options)
+    initial, result, std_constants = _learn_numbers(document, cases, options)
     written = _with_constants(result)
     write_robot(written, options.robot, options.out)
     report = as_json(result, options.out) | {"windows": [case.window for case in cases]}
-    unjudged = ""
+    judgement_error = ""
     if result.end not in (End.INTERRUPTED, End.BROKEN):
-        files = {"before": begun, "after": written}
+        files = {"before": initial, "after": written}
         try:
             with working("judging what was learned"):
                 report["held_out"] = judged(files, cases, options)
         except GlissandoError as problem:  # the learned file stays valid
-            unjudged = str(problem)
+            judgement_error = str(problem)
     if options.json:
         print(json.dumps(report))
     else:
-        print_report(result, report, std)
+        print_report(result, report, std_constants)
     warn_of_confidence(report, options)
-    return _ended(result, unjudged, options)
+    return _exit_status(result, judgement_error, options)
 
 
-def _searched(
+def _learn_numbers(
     document: Document, cases: list[RecordingCase], options: argparse.Namespace
 ) -> tuple[Document, Learned, dict[str, Array]]:
     """Initial document, result of learning, and std (6,) of each constant located before."""
@@ -169,7 +169,7 @@ def _longest_first(cases: list[RecordingCase]) -> list[RecordingCase]:
     return [cases[longest], *cases[:longest], *cases[longest + 1 :]]
 
 
-def _ended(result: Learned, unjudged: str, options: argparse.Namespace) -> int:
+def _exit_status(result: Learned, judgement_error: str, options: argparse.Namespace) -> int:
     """Print warnings about the search on stderr, and return the exit status."""
     if result.at_bounds:
         numbers = "; ".join(result.at_bounds)
@@ -182,14 +182,14 @@ def _ended(result: Learned, unjudged: str, options: argparse.Namespace) -> int:
             f"glissando: the search ended after {steps_of(result)}: {result.end.value}. "
             f"{options.out} holds what was learned."
         )
-    if unjudged:
+    if judgement_error:
         say(
             f"glissando: {options.out} holds what was learned, but the truth that was held out "
-            f"cannot be judged: {unjudged}"
+            f"cannot be judged: {judgement_error}"
         )
     if result.end is End.INTERRUPTED:
         return 130
-    return 2 if (unjudged and options.hold_out) or result.end is End.BROKEN else 0
+    return 2 if (judgement_error and options.hold_out) or result.end is End.BROKEN else 0
 
 
 def _examine(case: RecordingCase, robot: Robot, options: argparse.Namespace) -> None:
@@ -202,7 +202,7 @@ def _examine(case: RecordingCase, robot: Robot, options: argparse.Namespace) -> 
     warn(findings)
 
 
-def _require_one_way(options: argparse.Namespace) -> None:
+def _require_one_calibration(options: argparse.Namespace) -> None:
     """Raise if both --calibrate and --joint are given, or one of them without --truth."""
     for flag in ("calibrate", "joint"):
         if getattr(options, flag) and not options.truth:
@@ -222,9 +222,9 @@ def _parameters(
     document: Document, cases: list[RecordingCase], options: argparse.Namespace
 ) -> list[Parameter]:
     """Hyperparameters to learn; prints the kinds of sensor whose noise cannot be learned."""
-    kinds, silent = _kinds(document, cases)
+    kinds, excluded = _kinds(document, cases)
     everything = learnable(document, kinds, alike=options.alike)
-    for kind, why in silent.items():
+    for kind, why in excluded.items():
         if not options.only or _matches(f"{kind} noise", options.only):
             say(f"glissando: {kind} noise is not learned: {why}.")
     chosen = [p for p in everything if not options.only or _matches(p.label, options.only)]
@@ -246,19 +246,19 @@ def _parameters(
 
 def _kinds(document: Document, cases: list[RecordingCase]) -> tuple[list[str], dict[str, str]]:
     """Kinds of sensor whose noise can be learned, and the reason for each other kind."""
-    silent: dict[str, str] = {}
+    excluded: dict[str, str] = {}
     streams = [case.recording.streams[name] for case in cases for name in case.use]
     kinds = list(dict.fromkeys(stream.rows.kind for stream in streams))
-    of_file = {stream.rows.kind for stream in streams if stream.std is None}
+    with_file_noise = {stream.rows.kind for stream in streams if stream.std is None}
     for kind in kinds:
         loss = document.get("sensors", {}).get(kind, {}).get("loss")
-        if kind not in of_file:
-            silent[kind] = "the recording states it"
+        if kind not in with_file_noise:
+            excluded[kind] = "the recording states it"
         elif loss == "geman-mcclure" and not any(case.predict for case in cases):
-            silent[kind] = (
+            excluded[kind] = (
                 f"with a loss that saturates ({loss}) less is always likelier; give huber, or truth"
             )
-    return [kind for kind in kinds if kind not in silent], silent
+    return [kind for kind in kinds if kind not in excluded], excluded
 
 
 def _matches(label: str, only: list[str]) -> bool:

@@ -33,12 +33,12 @@ def judged(
     Returns:
         A summary of errors for each recording with such truth and each file.
     """
-    found = []
+    summaries = []
     for case in cases:
         window = checked_window(case.recording, options.window)
-        truth = options.hold_out or _unlearned(case, window)
+        truth = options.hold_out or _marked_truth(case, window)
         use = with_rows(case.use, case, window)
-        given: dict[str, Any] = {
+        arguments: dict[str, Any] = {
             "window": window,
             "use": use,
             "truth": truth,
@@ -46,9 +46,9 @@ def judged(
         }
         for name, document in files.items() if truth else ():
             robot = parse_robot(Table(document, "learned", GlissandoError))
-            summary = pool(run_estimate(case.recording, robot, **given).errors).summary()
-            found.append({"file": name, "recording": case.recording.name, **summary})
-    return found
+            summary = pool(run_estimate(case.recording, robot, **arguments).errors).summary()
+            summaries.append({"file": name, "recording": case.recording.name, **summary})
+    return summaries
 
 
 def warn_of_confidence(report: dict[str, Any], options: argparse.Namespace) -> None:
@@ -79,6 +79,6 @@ def with_rows(
     return [name for name, t in times.items() if np.any((t >= window[0]) & (t <= window[1]))]
 
 
-def _unlearned(case: RecordingCase, window: tuple[float, float]) -> list[str]:
+def _marked_truth(case: RecordingCase, window: tuple[float, float]) -> list[str]:
     """Names of streams marked as truth, if the case was learned without truth; else none."""
     return [] if case.predict else with_rows(case.recording.choose(None, None)[1], case, window)

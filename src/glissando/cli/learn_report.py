@@ -25,7 +25,7 @@ def as_json(result: Learned, out: Path) -> dict[str, Any]:
         "steps": result.steps,
         "end": result.end.name.lower().replace("_", "-"),
         "parameters": [
-            {"name": p.label, "value": p.of(result.document), **_way(p, moved, std)}
+            {"name": p.label, "value": p.of(result.document), **_change(p, moved, std)}
             for p, moved, std in zip(result.parameters, result.moved, result.std, strict=True)
         ],
         "constants": [
@@ -40,25 +40,25 @@ def steps_of(result: Learned) -> str:
     return f"{result.steps} step{'s' if result.steps > 1 else ''}"
 
 
-def _way(parameter: Parameter, moved: float, std: float) -> dict[str, float | None]:
+def _change(parameter: Parameter, moved: float, std: float) -> dict[str, float | None]:
     """Change of a hyperparameter and its std: a factor and log std, or a shift in its unit.
 
     The std is None if the recordings do not determine the hyperparameter.
     """
-    known = None if math.isinf(std) else std
+    finite_std = None if math.isinf(std) else std
     if parameter.unit is None:
-        return {"factor": math.exp(moved), "log_std": known}
-    within = None if known is None else known * parameter.unit
-    return {"shift": moved * parameter.unit, "std": within}
+        return {"factor": math.exp(moved), "log_std": finite_std}
+    std_in_unit = None if finite_std is None else finite_std * parameter.unit
+    return {"shift": moved * parameter.unit, "std": std_in_unit}
 
 
-def _cells(way: dict[str, Any]) -> tuple[str, str]:
+def _cells(change: dict[str, Any]) -> tuple[str, str]:
     """Change and std of a hyperparameter as cells of a table."""
-    if "shift" in way:
-        within = "–" if way["std"] is None else f"± {way['std']:.3g}"
-        return f"{way['shift']:+.3g}", within
-    within = "–" if way["log_std"] is None else f"× {math.exp(min(way['log_std'], 20.0)):.3g}"
-    return f"× {way['factor']:.3g}", within
+    if "shift" in change:
+        std = "–" if change["std"] is None else f"± {change['std']:.3g}"
+        return f"{change['shift']:+.3g}", std
+    std = "–" if change["log_std"] is None else f"× {math.exp(min(change['log_std'], 20.0)):.3g}"
+    return f"× {change['factor']:.3g}", std
 
 
 def print_report(result: Learned, report: dict[str, Any], std: dict[str, Array]) -> None:

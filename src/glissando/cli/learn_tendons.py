@@ -29,7 +29,7 @@ from glissando.model.tendons.replicate import TIP
 
 _TURNED, _SHIFTED = np.radians(3.0), 5e-3  # rad, m: smaller changes of a frame are not reported
 _POOR = 0.25  # share of the tip's motion: larger errors mean that the model does not fit
-_UNHEEDED = ("use", "truth", "hold_out", "only", "calibrate", "joint", "alike", "steps")
+_WITHOUT_EFFECT = ("use", "truth", "hold_out", "only", "calibrate", "joint", "alike", "steps")
 
 
 def is_of_tendons(recordings: Sequence[Recording], options: argparse.Namespace) -> bool:
@@ -43,7 +43,7 @@ def is_of_tendons(recordings: Sequence[Recording], options: argparse.Namespace) 
         return False
     if all(stream.rows.kind == "tendon" or stream.name == TIP for stream in streams):
         return True
-    return any(map(_is_tip, streams)) and not _given(options)
+    return any(map(_is_tip, streams)) and not _options_without_effect(options)
 
 
 def learn_from_tendons(
@@ -110,7 +110,7 @@ def _frame_moved(before: Robot, learned: Robot) -> str:
 
 def _require_effect(options: argparse.Namespace) -> None:
     """Raise RecordingError if an option is given that has no effect on learning from tendons."""
-    given = _given(options)
+    given = _options_without_effect(options)
     if given:
         raise RecordingError(
             f"--{given[0].replace('_', '-')} has no effect on what is learned from tendons: all "
@@ -119,9 +119,9 @@ def _require_effect(options: argparse.Namespace) -> None:
         )
 
 
-def _given(options: argparse.Namespace) -> list[str]:
+def _options_without_effect(options: argparse.Namespace) -> list[str]:
     """Names of given options that have no effect on learning from tendons."""
-    return [name for name in _UNHEEDED if getattr(options, name) not in (None, False)]
+    return [name for name in _WITHOUT_EFFECT if getattr(options, name) not in (None, False)]
 
 
 def _is_tip(stream: Stream) -> bool:
@@ -136,20 +136,21 @@ def _rows(recording: Recording, start: float, stop: float) -> tuple[Array, Array
     if tendons is None or tip is None:
         lacks = "stream of kind tendon" if tendons is None else f"positions named {TIP!r}"
         raise RecordingError(f"{recording.name} has no {lacks}; tendons are learned from both.")
-    _, rows, its = np.intersect1d(tendons.time, tip.time, return_indices=True)
-    if not rows.size:
+    _, tendon_rows, tip_rows = np.intersect1d(tendons.time, tip.time, return_indices=True)
+    if not tendon_rows.size:
         raise RecordingError(
             f"{recording.name}: tendons and {TIP} have no time in common; give them one clock."
         )
-    inside = (tendons.time[rows] >= start) & (tendons.time[rows] <= stop)
+    inside = (tendons.time[tendon_rows] >= start) & (tendons.time[tendon_rows] <= stop)
     if not inside.any():
-        first, last = tendons.time[rows][[0, -1]]
+        first, last = tendons.time[tendon_rows][[0, -1]]
         raise RecordingError(
             f"{recording.name}: no row lies within --window {start:g} {stop:g}; the rows go from "
             f"{first:.6g} to {last:.6g} s."
         )
-    rows, its = rows[inside], its[inside]
-    return tendons.values[rows][:, : np.size(tendons.settings["radius"])], tip.values[its]
+    tendon_rows, tip_rows = tendon_rows[inside], tip_rows[inside]
+    displacement = tendons.values[tendon_rows][:, : np.size(tendons.settings["radius"])]
+    return displacement, tip.values[tip_rows]
 
 
 def _document(document: Document, robot: Robot) -> Document:

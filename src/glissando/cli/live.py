@@ -136,7 +136,7 @@ def _run(options: argparse.Namespace, devices: ExitStack) -> int:
         patience=options.patience,
     )
     status, now = _Status(session), 0.0
-    watch = PlausibilityMonitor(robot, devices.enter_context(_beside()))
+    watch = PlausibilityMonitor(robot, devices.enter_context(_worker_executor()))
     with until_interrupted(), ExitStack() as stack:
         view = browser_view(robot.length, stack) if options.view else None
         stack.enter_context(status)
@@ -163,7 +163,7 @@ def _refuse_idle(options: argparse.Namespace, rigs: Sequence[Rig]) -> None:
 
 
 @contextmanager
-def _beside() -> Iterator[Executor]:
+def _worker_executor() -> Iterator[Executor]:
     """Executor of one worker process, which starts when the first task is submitted."""
     context = multiprocessing.get_context("spawn")
     executor = ProcessPoolExecutor(1, mp_context=context, initializer=end_with_parent)
@@ -300,8 +300,8 @@ class _Status:
     def summary(self) -> str:
         """Summary of the session, as a sentence."""
         session, losses = self._session, self._losses()
-        said = f"{self._count} updates{f' ({losses})' if losses else ''}."
+        sentence = f"{self._count} updates{f' ({losses})' if losses else ''}."
         if session.journal_folder is None:
-            return said
+            return sentence
         folder = quote(str(session.journal_folder))
-        return f"{said} Journal: {folder}. Now: glissando estimate {folder} --out results"
+        return f"{sentence} Journal: {folder}. Now: glissando estimate {folder} --out results"

@@ -26,7 +26,7 @@ CONTACT_COLUMNS = [
 ]
 """Columns of contacts.csv: evidence at each arclength and time; for each time the force at the most
 likely arclength, N in the body frame, and its std, NaN without evidence."""
-_MOMENTS = 6  # number of times in the table of loads
+_TIMES = 6  # number of times in the table of loads
 
 
 def scanned(posterior: Posterior) -> ContactScan:
@@ -45,10 +45,10 @@ def loads_json(posterior: Posterior, scan: ContactScan) -> dict[str, Any]:
         "evidence": scan.evidence.tolist(),
         "threshold": scan.threshold.tolist(),
         "arclength": scan.arclength[scan.best].tolist(),
-        "force": _known(scan.force),
-        "std": _known(std),
+        "force": _without_nan(scan.force),
+        "std": _without_nan(std),
     }
-    return {"loads": _rows(posterior), "contacts": contacts}
+    return {"loads": _load_rows(posterior), "contacts": contacts}
 
 
 def print_loads(
@@ -65,7 +65,7 @@ def print_loads(
     table = Table("time (s)", "arclength (m)", title="What acts on the robot, world frame")
     for what in ("force x, y, z (N)", "moment x, y, z (N m)"):
         table.add_column(what, justify="right")
-    for row in _rows(posterior):
+    for row in _load_rows(posterior):
         pairs = [
             f"{value:.3g} ± {std:.2g}"
             for value, std in zip(row["force"] + row["moment"], row["std"], strict=True)
@@ -75,7 +75,7 @@ def print_loads(
         mark = " !" if scan.detected[nearest] else ""
         table.add_row(f"{row['time']:.3f}{mark}", f"{row['arclength']:.4f}", *cells)
     console.print(table)
-    _print_touch(posterior, scan, console)
+    _print_contacts(posterior, scan, console)
     if tendons and scan.detected.any():
         console.print(
             "The prior knows no tendons, so that what they pull counts as a touch: give [prior] "
@@ -84,23 +84,26 @@ def print_loads(
         )
 
 
-def _print_touch(posterior: Posterior, scan: ContactScan, console: Console) -> None:
+def _print_contacts(posterior: Posterior, scan: ContactScan, console: Console) -> None:
     """Print times, arclength and force of detected contacts, or that there are none."""
-    touched, count = np.flatnonzero(scan.detected), scan.time.size
-    read = int(np.any(scan.log_ratio != 0.0, axis=-1).sum())  # others have no reading near
-    of = f"{count} times" if read == count else f"{read} times beside which something was read"
+    detected, count = np.flatnonzero(scan.detected), scan.time.size
+    observed = int(np.any(scan.log_ratio != 0.0, axis=-1).sum())  # others have no reading near
+    of = f"{count} times"
+    if observed < count:
+        of = f"{observed} times beside which something was read"
     chance = f"of {of}; a false alarm is one in {1.0 / scan.false_alarms:.3g}"
-    if not touched.size:
+    if not detected.size:
         console.print(f"Something else touches the robot at none {chance}.")
         return
-    surest = touched[np.argmax((scan.evidence - scan.threshold)[touched])]
-    place, apart = scan.arclength[scan.best[surest]], scan.std_place[surest]
-    force, std = scan.force[surest], np.sqrt(np.diagonal(scan.cov[surest]))
+    strongest = detected[np.argmax((scan.evidence - scan.threshold)[detected])]
+    arclength, std_place = scan.arclength[scan.best[strongest]], scan.std_place[strongest]
+    force, std = scan.force[strongest], np.sqrt(np.diagonal(scan.cov[strongest]))
     pairs = [f"{f:.2g} ± {s:.2g}" for f, s in zip(force, std, strict=True)]
-    pushed = "" if np.isnan(force).any() else f", with ({', '.join(pairs)}) N in the body frame"
+    force_text = "" if np.isnan(force).any() else f", with ({', '.join(pairs)}) N in the body frame"
     console.print(
-        f"Something else touches the robot at {touched.size} {chance}. Surest at "
-        f"{scan.time[surest]:.3f} s, likeliest there at {place:.3g} ± {apart:.1g} m{pushed}.",
+        f"Something else touches the robot at {detected.size} {chance}. Surest at "
+        f"{scan.time[strongest]:.3f} s, likeliest there at {arclength:.3g} ± {std_place:.1g} m"
+        f"{force_text}.",
         markup=False,
     )
     console.print(
@@ -140,16 +143,16 @@ def write_contacts(scan: ContactScan, folder: Path) -> list[Path]:
     return [file, save_figure(contact_figure(scan), folder / "contacts.png")]
 
 
-def _known(values: Array) -> list[list[float] | None]:
+def _without_nan(values: Array) -> list[list[float] | None]:
     """Rows of numbers for JSON; None for rows with NaN."""
     return [None if np.isnan(row).any() else row.tolist() for row in values]
 
 
-def _rows(posterior: Posterior) -> list[dict[str, Any]]:
+def _load_rows(posterior: Posterior) -> list[dict[str, Any]]:
     """Loads at the arclengths where the prior has any, at a few times, in the world frame."""
     prior, nodes = require_mechanics(posterior.prior), posterior.grid.time
     places = load_places(prior, posterior.grid)
-    rows = evenly_chosen(nodes.size, _MOMENTS)
+    rows = evenly_chosen(nodes.size, _TIMES)
     load = posterior.load(places, nodes[rows, None], frame="world")
     return [
         {

@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: Words of the command line; None for those of the process.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    _spell_out()
+    _escape_unencodable()
     try:
         with _stopped_by_signals(ends_process=arguments is None), _own_warnings_shown():
             others = import_plugins(words)
@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
 
 
-def _spell_out() -> None:
+def _escape_unencodable() -> None:
     """Let stdout and stderr escape characters that their encoding lacks."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -137,23 +137,23 @@ def _stopped_by_signals(*, ends_process: bool = False) -> Iterator[None]:
             return
         raise KeyboardInterrupt
 
-    def again() -> None:
+    def interrupt_again() -> None:
         if hasattr(signal, "pthread_kill"):  # interrupts a sleep, too
-            signal.pthread_kill(threading.main_thread().ident or 0, heeded[0])
+            signal.pthread_kill(threading.main_thread().ident or 0, handled[0])
         else:
-            signal.raise_signal(heeded[0])
+            signal.raise_signal(handled[0])
 
     def unraisable(lost: Any) -> None:
         if isinstance(lost.exc_value, KeyboardInterrupt):  # raised in a destructor: raise it again
             requests.clear()
-            threading.Timer(_AGAIN, again).start()
+            threading.Timer(_AGAIN, interrupt_again).start()
         else:
             show_lost(lost)
 
     names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP; nohup leaves it ignored
     numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    heeded = [n for n in numbers if signal.getsignal(n) != signal.SIG_IGN]
-    before = {number: signal.signal(number, stop) for number in heeded}
+    handled = [n for n in numbers if signal.getsignal(n) != signal.SIG_IGN]
+    before = {number: signal.signal(number, stop) for number in handled}
     show_lost, sys.unraisablehook = sys.unraisablehook, unraisable
     try:
         yield

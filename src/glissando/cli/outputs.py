@@ -43,15 +43,15 @@ def require_replaceable(
     if not out.exists():
         return
     real, given = out.resolve(), [Path(each).resolve() for each in inputs if each is not None]
-    held = any(
+    in_recording = any(
         folder in given or _is_recording(folder) for folder in (real.parent, out.parent.resolve())
     )
-    if real in given or (held and real.suffix in _DATA):
+    if real in given or (in_recording and real.suffix in _DATA):
         raise GlissandoError(f"{option} {out} would replace data; give another name or folder.")
     if begins and real.is_file():
         with real.open(encoding="utf-8", errors="replace") as file:
-            begun = file.read(max(map(len, begins)))
-        if begun and not begun.startswith(tuple(begins)):
+            start = file.read(max(map(len, begins)))
+        if start and not start.startswith(tuple(begins)):
             raise GlissandoError(
                 f"{option} {out} is there and none that this command writes; give another name, "
                 f"or delete it first."
@@ -91,14 +91,14 @@ def stated(options: argparse.Namespace, robot: Robot | None = None) -> dict[str,
 
 def _without_out(words: list[str]) -> list[str]:
     """Words of a command without `--out DIR`, so that reports do not depend on the folder."""
-    words_left, left = [], iter(words)
-    for word in left:
+    kept, remaining = [], iter(words)
+    for word in remaining:
         flag, equals, _ = word.partition("=")
         if not (len(flag) > 2 and "--out".startswith(flag)):
-            words_left.append(word)
+            kept.append(word)
         elif not equals:
-            next(left)
-    return words_left
+            next(remaining)
+    return kept
 
 
 def _digests_of(path: Path, option: str) -> dict[str, str]:

@@ -131,7 +131,7 @@ def _plan_slide(options: argparse.Namespace) -> int:
     objective = objective_named(options.objective, options.bound, robot.length)
     stage, upper = stage_of(options)
     start = upper if options.start is None else options.start
-    source = _source(options, robot)
+    source = _planning_source(options, robot)
     stream = stream_of(options, belief_of(source).sensor_parameters)
     sensor = sliding_sensor(robot, rate=options.rate, name=stream)
     reach = upper - stage.stroke, upper
@@ -185,7 +185,7 @@ def _plan_slide(options: argparse.Namespace) -> int:
     return 0
 
 
-def _source(options: argparse.Namespace, robot: Robot) -> Posterior | Robot:
+def _planning_source(options: argparse.Namespace, robot: Robot) -> Posterior | Robot:
     """Belief to plan from: the posterior of --from, checked against the robot, or the robot."""
     if not options.posterior:
         return robot

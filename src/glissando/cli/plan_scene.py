@@ -73,7 +73,7 @@ def columns_of_slides(names: Sequence[str]) -> list[str]:
 
 def _report(plan: MotionPlan) -> dict[str, object]:
     at = plan.evaluation
-    apart = at.clearances.mean  # expected distances of the body to obstacles
+    clearances = at.clearances.mean  # expected distances of the body to obstacles
     tip = np.sqrt(np.einsum("kii->k", at.cov[:, -1]))
     return {
         "risk": plan.risk,
@@ -82,7 +82,7 @@ def _report(plan: MotionPlan) -> dict[str, object]:
         "delta": plan.problem.scene.delta,
         "miss": plan.miss,
         "tip_std": float(tip[-1]),
-        "clearance": float(apart.min()) + plan.problem.wider if apart.size else None,
+        "clearance": float(clearances.min()) + plan.problem.wider if clearances.size else None,
         "cost": at.cost,
         "terms": at.terms,
         "correction_speed": correction_speed(plan.problem, at),
@@ -101,13 +101,13 @@ def _sentence(report: dict[str, object]) -> str:
     if report["clearance"] is None:
         return f"{reached}There is no obstacle."
     return (
-        f"{reached}Anything is hit with a probability of {_share(risk)} %, and {delta:g} % are "
+        f"{reached}Anything is hit with a probability of {_percent(risk)} %, and {delta:g} % are "
         f"allowed; the nearest obstacle is expected {1e3 * float(str(report['clearance'])):.3g} mm "
         f"away."
     )
 
 
-def _share(percent: float) -> str:
+def _percent(percent: float) -> str:
     """A sampled risk in per cent, as text: no hit in 4,000 samples does not mean zero."""
     return f"{percent:.2g}" if percent > 0.0 else "less than 0.1"
 

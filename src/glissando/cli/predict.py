@@ -62,7 +62,7 @@ def add_to(commands: Commands) -> None:
     add("--out", required=True, type=Path, metavar="DIR", help="folder to write query.csv into")
 
 
-def _doubts(time: Array, displacement: Array, tendons: Tendons) -> Iterator[str]:
+def _unit_warnings(time: Array, displacement: Array, tendons: Tendons) -> Iterator[str]:
     """Warnings for times (M,), s, and displacements (M, T), m, probably given in other units."""
     std = tendons.std
     step = float(np.median(np.abs(np.diff(time)))) if time.size > 1 else 0.0
@@ -91,7 +91,7 @@ def _predict(options: argparse.Namespace) -> int:
     given = [number("--arclength", place) for place in options.arclength or ()]
     places = np.unique(given) if given else robot.arclength_nodes
     time, displacement = read_tendon_commands(options.tendons, robot.tendons.names)
-    for doubt in _doubts(time, displacement, robot.tendons):
+    for doubt in _unit_warnings(time, displacement, robot.tendons):
         say(f"glissando: warning: {doubt}")
     marker = options.stream and file_stem(options.stream)
     placed = [p.streams for p in robot.sensor_parameters if p.kind in ("frame", "mount")]

@@ -64,8 +64,8 @@ class Work:
         parts += [f"{100 * self.share:.0f} % done"] if self.share is not None else []
         parts.append(f"{elapsed:.0f} s")
         if self.share is not None and self.share > _SOON:
-            left = self._came / self.share - elapsed  # counts down while a part lasts
-            parts += [f"about {left:.0f} s left"] if left >= 0.5 else []
+            remaining = self._came / self.share - elapsed  # counts down while a part lasts
+            parts += [f"about {remaining:.0f} s left"] if remaining >= 0.5 else []
         return f"{self.doing}: {', '.join(parts)}"
 
 
@@ -89,8 +89,10 @@ class Descent:
         if iteration <= self._iteration:
             self._longest = self._done = 0.0
         self._iteration, self._longest = iteration, max(self._longest, length)
-        left, whole = (math.log(max(x / self._tolerance, 1.0)) for x in (length, self._longest))
-        self._done = max(self._done, 1.0 - left / whole if whole else 1.0)
+        remaining, total = (
+            math.log(max(x / self._tolerance, 1.0)) for x in (length, self._longest)
+        )
+        self._done = max(self._done, 1.0 - remaining / total if total else 1.0)
         where = f"iteration {iteration}, cost {cost:.6g}, step {length:.3g} σ"
         if self._done < 1.0:
             self._work.update(self._done, 1, where)

@@ -64,7 +64,7 @@ exit status: 0 done; 1 stopped early; 2 a device or something given was wrong.
 _REFRESH = 0.2  # s between updates of the table
 _DAY = 86_400.0  # longest duration of a path, s
 _OF_A_PATH = ("cycles", "stroke", "speed")
-_IDLE = {"oscillate": (), "calibrate": ("cycles", "speed")}  # without effect, by --slide
+_WITHOUT_EFFECT = {"oscillate": (), "calibrate": ("cycles", "speed")}  # by --slide
 
 
 def add_to(commands: Commands) -> None:
@@ -135,9 +135,9 @@ def _record(options: argparse.Namespace) -> int:
             status = 1
         except DeviceError:
             if (options.out / LOG).exists():
-                _keep(rig, options, quietly=True)
+                _finish_recording(rig, options, quietly=True)
             raise
-    _keep(rig, options)
+    _finish_recording(rig, options)
     return status
 
 
@@ -155,7 +155,9 @@ def refuse_idle_slide(options: argparse.Namespace, without: str, *, moves: bool)
     if not moves:
         refuse_unused(options, without, "slide", *_OF_A_PATH)
     else:
-        refuse_unused(options, f"--slide {options.slide}", *_IDLE.get(options.slide, _OF_A_PATH))
+        refuse_unused(
+            options, f"--slide {options.slide}", *_WITHOUT_EFFECT.get(options.slide, _OF_A_PATH)
+        )
 
 
 def further_paths(options: argparse.Namespace, rig: Rig) -> dict[str, SlidePath]:
@@ -180,17 +182,17 @@ def slide_path(
     limits = SlideLimits(1.0, 1.0, 1.0)
     if stage is not None:
         limits = SlideLimits(stage.stroke[1], stage.speed, stage.acceleration)
-    lasts = options.duration
-    if lasts is not None and lasts > _DAY:
-        raise GlissandoError(f"--duration is {lasts:g} s; give a day, {_DAY:g} s, at most.")
+    duration = options.duration
+    if duration is not None and duration > _DAY:
+        raise GlissandoError(f"--duration is {duration:g} s; give a day, {_DAY:g} s, at most.")
     if options.slide == "hold" or stage is None:
         where = (further or rig).standing_travel
-        return SlidePath.hold(where, 15.0 if lasts is None else lasts, limits)
+        return SlidePath.hold(where, 15.0 if duration is None else duration, limits)
     stroke = limits.stroke if options.stroke is None else options.stroke
     if options.slide == "oscillate":
         return SlidePath.oscillate(options.cycles, stroke, limits, speed=options.speed)
     if options.slide == "calibrate":
-        return SlidePath.calibrate(45.0 if lasts is None else lasts, stroke, limits)
+        return SlidePath.calibrate(45.0 if duration is None else duration, stroke, limits)
     if not Path(options.slide).is_file():
         raise GlissandoError(
             f"There is no slide named {options.slide!r} and no such file; give oscillate, "
@@ -249,7 +251,7 @@ def _has_messages(folder: Path) -> bool:
     return log.exists() and any(topic.messages for topic in read_session(log).topics.values())
 
 
-def _keep(rig: Rig, options: argparse.Namespace, *, quietly: bool = False) -> None:
+def _finish_recording(rig: Rig, options: argparse.Namespace, *, quietly: bool = False) -> None:
     """Write the session log as a recording and print a summary.
 
     If `quietly`, after a device failed, delete a log without messages, and report on stderr.

@@ -46,7 +46,7 @@ examples:
 exit status: 0 done; 2 something given was wrong.
 """
 
-_SAYS_NOTHING = 0.5  # bound on the deviation of a miss rate from which it is not informative
+_UNINFORMATIVE = 0.5  # bound on the deviation of a miss rate from which it is not informative
 _MOST = 1000  # most time nodes of the estimator's window, as in `glissando live`
 
 
@@ -148,7 +148,7 @@ def _print(result: Replay, console: Console) -> None:
             f"{ahead['level']:.0%} set, "
             + (
                 f"by construction {1 - ahead['level']:.0%} ± {ahead['bound']:.1%}"
-                if ahead["bound"] < _SAYS_NOTHING
+                if ahead["bound"] < _UNINFORMATIVE
                 else "too few readings for a promise"
             )
         )

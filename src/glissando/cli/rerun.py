@@ -76,13 +76,15 @@ def _rerun(options: argparse.Namespace) -> int:
         with redirect_stdout(io.StringIO()):
             request.run(request)
         again = _report(_written(request.out, options.report.name))
-        comparison = _compared(report, again) | _files(options.report.parent, request.out)
+        comparison = _report_differences(report, again) | _file_differences(
+            options.report.parent, request.out
+        )
     differ = [e for e in comparison["report"] if not e["size"] <= SAME]
-    apart = comparison["posterior"]
+    posteriors = comparison["posterior"]
     comparison["same"] = (
         not differ
-        and apart is not None
-        and max(*apart.values(), *comparison["tables"].values()) <= SAME
+        and posteriors is not None
+        and max(*posteriors.values(), *comparison["tables"].values()) <= SAME
     )
     if options.json:
         print(json.dumps(comparison, default=str))
@@ -142,7 +144,7 @@ def _request(words: list[Any], options: argparse.Namespace) -> argparse.Namespac
     return request
 
 
-def _compared(report: dict[str, Any], again: dict[str, Any]) -> dict[str, Any]:
+def _report_differences(report: dict[str, Any], again: dict[str, Any]) -> dict[str, Any]:
     """Differences of two reports: names of inputs, versions, and entries with relative sizes."""
     before, now = report["inputs"], again["inputs"]
     inputs = sorted(k for k in {*before, *now} if before.get(k) != now.get(k))
@@ -154,7 +156,7 @@ def _compared(report: dict[str, Any], again: dict[str, Any]) -> dict[str, Any]:
     return {"inputs": inputs, "versions": versions, "report": entries}
 
 
-def _files(before: Path, now: Path) -> dict[str, Any]:
+def _file_differences(before: Path, now: Path) -> dict[str, Any]:
     """Differences of the tables and posteriors of two folders; None for unlike posteriors."""
     pairs = [(path, now / path.name) for path in sorted(before.iterdir())]
     tables = {
@@ -166,8 +168,8 @@ def _files(before: Path, now: Path) -> dict[str, Any]:
     saved = "posterior.nc"
     if (before / saved).is_file() and (now / saved).is_file():
         nodes = posterior_difference(load_posterior(before / saved), load_posterior(now / saved))
-    apart = None if nodes is None else {"mean_in_std": nodes[0], "std": nodes[1]}
-    return {"tables": tables, "posterior": apart}
+    posteriors = None if nodes is None else {"mean_in_std": nodes[0], "std": nodes[1]}
+    return {"tables": tables, "posterior": posteriors}
 
 
 def _print(comparison: dict[str, Any], differ: list[dict[str, Any]]) -> None:
@@ -183,14 +185,16 @@ def _print(comparison: dict[str, Any], differ: list[dict[str, Any]]) -> None:
     for name, size in comparison["tables"].items():
         if size > SAME:
             print(f"{name}: numbers up to {size:.2g} of the largest of their column apart")
-    apart = comparison["posterior"]
-    if apart is None:
+    posteriors = comparison["posterior"]
+    if posteriors is None:
         print("posterior.nc: another grid or state")
-    elif max(apart.values()) > SAME:
+    elif max(posteriors.values()) > SAME:
         print(
-            f"posterior.nc: means up to {apart['mean_in_std']:.2g} standard deviations apart, "
-            f"standard deviations up to {apart['std']:.2g} of themselves"
+            f"posterior.nc: means up to {posteriors['mean_in_std']:.2g} standard deviations apart, "
+            f"standard deviations up to {posteriors['std']:.2g} of themselves"
         )
-    rounded = comparison["report"] or any((*(apart or {}).values(), *comparison["tables"].values()))
+    rounded = comparison["report"] or any(
+        (*(posteriors or {}).values(), *comparison["tables"].values())
+    )
     extent = f"to {SAME:g}" if rounded else "to the last digit"
     print(f"The same {extent}." if comparison["same"] else "Not the same.")

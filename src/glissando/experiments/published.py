@@ -48,20 +48,24 @@ class PublishedPrior(WhiteNoisePrior):
         """Factors along arclength, along time and at the base, as published."""
         k_count, n_count = grid.shape
         node = np.arange(k_count * n_count).reshape(k_count, n_count)
-        here, flat = node[times], state.flatten()
-        start = here[:, :-1].ravel()
-        step = np.tile(np.diff(grid.arclength), len(here))
-        cov = _noise(step, STRAIN, self.psd_strain_arclength, self.psd_velocity_arclength)
+        nodes, flat = node[times], state.flatten()
+        start = nodes[:, :-1].ravel()
+        step = np.tile(np.diff(grid.arclength), len(nodes))
+        cov = _step_covariances(
+            step, STRAIN, self.psd_strain_arclength, self.psd_velocity_arclength
+        )
         transport = np.tile(np.eye(DOF), (start.size, 1, 1))
         transport[:, VELOCITY, POSE] = se3.ad(noise_state.flatten().velocity[start])
         cov = transport @ cov @ np.swapaxes(transport, 1, 2)
-        yield _steps(flat, np.stack([start, start + 1], axis=1), step, cov, STRAIN)
+        yield _step_factors(flat, np.stack([start, start + 1], axis=1), step, cov, STRAIN)
         if k_count > 1 and times.start < k_count - 1:
             start = node[:-1][times].ravel()
             step = np.repeat(np.diff(grid.time)[times], n_count)
-            cov = _noise(step, VELOCITY, self.psd_velocity_time, self.psd_strain_time)
-            yield _steps(flat, np.stack([start, start + n_count], axis=1), step, cov, VELOCITY)
-        yield self._base(np.ones(len(here)), flat, here[:, :1])
+            cov = _step_covariances(step, VELOCITY, self.psd_velocity_time, self.psd_strain_time)
+            yield _step_factors(
+                flat, np.stack([start, start + n_count], axis=1), step, cov, VELOCITY
+            )
+        yield self._base(np.ones(len(nodes)), flat, nodes[:, :1])
 
     def interpolate(
         self, grid: Grid, state: State, noise_state: State, points: Points
@@ -115,16 +119,16 @@ def published_readings(readings: Readings, parts: tuple[str, ...], rest: State) 
         readings = replace(readings, cov=np.diag(_NOISE[:rows]))
     if "roll" not in parts or not isinstance(readings, CoilReadings):
         return readings
-    apart = se3.inverse(readings.values[0]) @ rest.pose[-1]
-    roll = np.arctan2(apart[1, 0] - apart[0, 1], apart[0, 0] + apart[1, 1])
-    turned = readings.values @ se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, roll]))
+    relative = se3.inverse(readings.values[0]) @ rest.pose[-1]
+    roll = np.arctan2(relative[1, 0] - relative[0, 1], relative[0, 0] + relative[1, 1])
+    values = readings.values @ se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, roll]))
     return SmallAngleCoil(
-        time=readings.time, arclength=readings.arclength, values=turned, cov=readings.cov,
+        time=readings.time, arclength=readings.arclength, values=values, cov=readings.cov,
         mount=readings.mount, name=readings.name,
     )  # fmt: skip
 
 
-def _noise(step: Array, rate: slice, moving: Array, carried: Array) -> Array:
+def _step_covariances(step: Array, rate: slice, moving: Array, carried: Array) -> Array:
     """Covariances (M, 18, 18) of steps `step`: `rate`, strain or velocity, integrates to the pose.
 
     It and the other field are random walks with the densities (6,) `moving` and `carried`.
@@ -137,19 +141,19 @@ def _noise(step: Array, rate: slice, moving: Array, carried: Array) -> Array:
     return cov
 
 
-def _steps(flat: State, nodes: Index, step: Array, cov: Array, rate: slice) -> Factors:
+def _step_factors(flat: State, nodes: Index, step: Array, cov: Array, rate: slice) -> Factors:
     """Factors of steps between `nodes` (M, 2), with residuals of constant strain or velocity."""
     start, end = flat.take(nodes[:, 0]), flat.take(nodes[:, 1])
     h, eye = step[:, None, None], np.eye(6)
     xi = se3.log(se3.inverse(start.pose) @ end.pose)
-    spread = se3.right_jacobian_inverse(xi)
+    J_r_inverse = se3.right_jacobian_inverse(xi)
     along = start.strain if rate == STRAIN else start.velocity
     error = np.concatenate(
         [xi - step[:, None] * along, end.strain - start.strain, end.velocity - start.velocity], 1
     )
     jacobian = np.zeros((len(step), DOF, 2, DOF))
-    jacobian[:, POSE, 0, POSE] = -spread @ se3.adjoint(se3.inverse(end.pose) @ start.pose)
-    jacobian[:, POSE, 1, POSE], jacobian[:, POSE, 0, rate] = spread, -h * eye
+    jacobian[:, POSE, 0, POSE] = -J_r_inverse @ se3.adjoint(se3.inverse(end.pose) @ start.pose)
+    jacobian[:, POSE, 1, POSE], jacobian[:, POSE, 0, rate] = J_r_inverse, -h * eye
     for field in (STRAIN, VELOCITY):
         jacobian[:, field, 0, field], jacobian[:, field, 1, field] = -eye, eye
     if rate == STRAIN:

@@ -152,10 +152,10 @@ def _motion(
         actuation = Actuation(time, tensions, known.gravity)
     else:
         actuation = known.shape(shape).lasting(duration)
-    bent = replace(known.flaws, set_curvature=curvature, set_length=length)
+    imperfections = replace(known.flaws, set_curvature=curvature, set_length=length)
     if inertia:
-        return known.move_dynamically(scenario_of(actuation), bent, seed, duration)
-    return known.move(actuation, bent, seed)
+        return known.move_dynamically(scenario_of(actuation), imperfections, seed, duration)
+    return known.move(actuation, imperfections, seed)
 
 
 def path(scene: Scene) -> SlidePath:
@@ -204,9 +204,10 @@ def trial(scene: Scene, seed: int, other: WhiteNoisePrior | None = None) -> Tria
     truth, _ = recorded.readings(judges, known, window, as_truth=True)
     truth = [corrected(t, parameters) for t in truth if t.arclength.max() <= scene.judged]
     nodes = grid(scene)
-    firm = [parameter for parameter in parameters if parameter.known]
-    where = [corrected(r, firm) for r in readings]  # late stamps may be from before the session
-    inside = [nodes.contains(r.arclength, r.time) for r in where]
+    known_parameters = [parameter for parameter in parameters if parameter.known]
+    # late stamps may be from before the session
+    corrected_readings = [corrected(r, known_parameters) for r in readings]
+    inside = [nodes.contains(r.arclength, r.time) for r in corrected_readings]
     readings = [r.select(rows) for r, rows in zip(readings, inside, strict=True)]
     posterior = estimate(other or prior(scene), nodes, readings, sensor_parameters=parameters)
     return Trial(readings, truth, posterior, [errors_against(posterior, t) for t in truth])
@@ -221,7 +222,7 @@ def grid(scene: Scene) -> Grid:
     rate = PUBLISHED_RATE if "prior" in scene.published else scene.time_rate
     if rate is not None:
         known = replace(known, time_rate=rate)
-    rate = min(_pace(scene) * known.time_rate, max(COIL_RATE, known.time_rate))
+    rate = min(_speedup(scene) * known.time_rate, max(COIL_RATE, known.time_rate))
     return replace(known, time_rate=rate).grid(0.0, scene.duration)
 
 
@@ -230,7 +231,7 @@ def prior(scene: Scene) -> Prior:
 
     Raises RobotFileError for such a scene with a separable prior, which has a time scale instead.
     """
-    known, pace = known_robot(scene).prior, _pace(scene)
+    known, pace = known_robot(scene).prior, _speedup(scene)
     if "prior" in scene.published:
         return published_prior(known)
     if not scene.still and pace == 1.0:
@@ -250,7 +251,7 @@ def prior(scene: Scene) -> Prior:
     return replace(known, **densities, **firm, base=base)
 
 
-def _pace(scene: Scene) -> float:
+def _speedup(scene: Scene) -> float:
     """Factor by which a paced scene is faster than the shape's own motion; 1 for other scenes."""
     time = bench(scene.robot).shape(scene.shape).time if scene.paced else np.zeros(1)
     return float(np.ptp(time)) / scene.duration if time.size > 1 else 1.0

@@ -47,8 +47,8 @@ def interval(values: Array, count: int, most: float | None = None) -> dict[str, 
         return {"value": value, "low": None, "high": None}
     by_log = most is None and bool(values.min() > 0.0)
     scaled = np.log(values) if by_log else values
-    wider = np.sqrt(count / (count - 1)) * stdtrit(count - 1, 0.975) / stdtrit(np.inf, 0.975)
-    ends = scaled[0] + wider * (np.quantile(scaled[1:], [0.025, 0.975]) - scaled[0])
+    inflation = np.sqrt(count / (count - 1)) * stdtrit(count - 1, 0.975) / stdtrit(np.inf, 0.975)
+    ends = scaled[0] + inflation * (np.quantile(scaled[1:], [0.025, 0.975]) - scaled[0])
     low, high = np.clip(np.exp(ends) if by_log else ends, 0.0, most)
     return {"value": value, "low": float(low), "high": float(high)}
 

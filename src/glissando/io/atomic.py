@@ -38,16 +38,16 @@ def new_file(path: str | Path) -> Iterator[Path]:
         if path.exists() and not path.is_file():
             yield path
             return
-        place = Path(os.path.realpath(path))  # a link stays one
-        place.parent.mkdir(parents=True, exist_ok=True)
+        target = Path(os.path.realpath(path))  # a link stays one
+        target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(
-            prefix=".writing-", dir=place.parent, ignore_cleanup_errors=True
+            prefix=".writing-", dir=target.parent, ignore_cleanup_errors=True
         ) as folder:
-            building = Path(folder, place.name)
+            building = Path(folder, target.name)
             yield building
             with building.open("rb+") as file:
                 os.fsync(file.fileno())
-            building.replace(place)
+            building.replace(target)
     except OSError as problem:
         reason = problem.strerror or str(problem)
         unharmed = "; what was there is as it was" if path.exists() else ""
@@ -119,8 +119,8 @@ def new_folder(folder: Path, error: type[GlissandoError]) -> Iterator[Path]:
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(
         prefix=f".{folder.name}-", dir=folder.parent, ignore_cleanup_errors=True
-    ) as place:
-        building = Path(place, folder.name)  # with the usual permissions, unlike `place`
+    ) as temporary:
+        building = Path(temporary, folder.name)  # with the usual permissions, unlike `temporary`
         building.mkdir()
         yield building
         if folder.exists():

@@ -102,8 +102,8 @@ def scale_of(unit: str, length: float, angle: float) -> float:
     1000.0
     """
     scales = {"m": length, "rad": angle}
-    above, _, below = unit.partition("/")
-    return scales.get(above, 1.0) / scales.get(below, 1.0)
+    numerator, _, denominator = unit.partition("/")
+    return scales.get(numerator, 1.0) / scales.get(denominator, 1.0)
 
 
 def is_public(path: Path) -> bool:
@@ -111,10 +111,10 @@ def is_public(path: Path) -> bool:
     try:
         require_plain(path)
         with path.open("rb") as file:
-            begun = file.read(100)
+            start = file.read(100)
     except OSError:
         return False
-    text = begun.decode("utf-8-sig", "replace")
+    text = start.decode("utf-8-sig", "replace")
     return text.lstrip().lower().startswith(_PUBLIC_HEAD)
 
 
@@ -176,19 +176,21 @@ def read_named(
     sensor, settings = sensor_class(kind), settings or {}
     units = {"time": "s", "arclength": "m", **sensor.value_columns(settings)}
     header = [part.strip() for part in lines[0].split(",")]
-    twice = [name for name in units if header.count(name) > 1]
-    if twice:
-        raise RecordingError(f"{path.name} line 1: column {twice[0]} stands there twice; keep one.")
+    repeated = [name for name in units if header.count(name) > 1]
+    if repeated:
+        raise RecordingError(
+            f"{path.name} line 1: column {repeated[0]} stands there twice; keep one."
+        )
     missing = [name for name in units if name not in header]
     if missing:
-        other = '"' in lines[0] or ";" in lines[0] or "\t" in lines[0]
-        why = (
+        other_layout = '"' in lines[0] or ";" in lines[0] or "\t" in lines[0]
+        cause = (
             "the file quotes or parts them otherwise: bring it in with glissando import"
-            if (other)
+            if (other_layout)
             else f"{', '.join(missing)} is missing"
         )
         raise RecordingError(
-            f"{path.name} line 1: a {kind} stream needs the columns {','.join(units)}; {why}."
+            f"{path.name} line 1: a {kind} stream needs the columns {','.join(units)}; {cause}."
         )
     clock = header.index("time")
     table = _numbers(path, lines, 1, len(header), None if journal else clock)
@@ -255,15 +257,15 @@ def steady(rows: Rows, rate: float) -> Rows:
         return rows
     elapsed = rows.time - rows.time[0]
     count = int(np.ceil(8.0 * _OFF_RATE * rate * elapsed[-1])) + 2
-    near = rate * np.linspace(1.0 - _OFF_RATE, 1.0 + _OFF_RATE, count)
-    turns = np.array([np.mean(np.exp(2j * np.pi * f * elapsed)) for f in near])
-    best = int(np.argmax(np.abs(turns)))
-    number = np.round(near[best] * elapsed - np.angle(turns[best]) / (2.0 * np.pi))
+    rates = rate * np.linspace(1.0 - _OFF_RATE, 1.0 + _OFF_RATE, count)
+    phasors = np.array([np.mean(np.exp(2j * np.pi * f * elapsed)) for f in rates])
+    best = int(np.argmax(np.abs(phasors)))
+    number = np.round(rates[best] * elapsed - np.angle(phasors[best]) / (2.0 * np.pi))
     time = np.polyval(np.polyfit(number, rows.time, 1), number)
-    late = float(np.abs(rows.time - time).max())
-    if np.any(np.diff(number) < 1.0) or late > 1.0 / rate:
+    error = float(np.abs(rows.time - time).max())
+    if np.any(np.diff(number) < 1.0) or error > 1.0 / rate:
         raise RecordingError(
-            f"A {rows.kind} stream's stamps are up to {1e3 * late:.3g} ms from those of a device "
+            f"A {rows.kind} stream's stamps are up to {1e3 * error:.3g} ms from those of a device "
             f"that measures {rate:g} times a second; correct or leave out its rate."
         )
     return replace(rows, time=time)
@@ -302,7 +304,7 @@ def _numbers(
     With a column `clock`, there must be a row and the clock must not decrease.
     """
     table = np.empty((max(len(lines) - first, 0), width))
-    count, before = 0, -np.inf
+    count, previous = 0, -np.inf
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip():
             continue
@@ -321,13 +323,13 @@ def _numbers(
             problem = f"{cell} is not a number; correct or delete"
         if problem:
             raise RecordingError(f"{path.name} line {number}: {problem} that line.")
-        if clock is not None and table[count, clock] < before:
+        if clock is not None and table[count, clock] < previous:
             raise RecordingError(
                 f"{path.name} line {number}: time goes back from "
-                f"{seconds(before, table[count, clock], decimals=6)} s; sort the rows or "
+                f"{seconds(previous, table[count, clock], decimals=6)} s; sort the rows or "
                 f"correct the clock."
             )
-        before = before if clock is None else table[count, clock]
+        previous = previous if clock is None else table[count, clock]
         count += 1
     if count == 0 and clock is not None:
         raise RecordingError(f"{path.name} holds no rows; record some or leave the stream out.")

@@ -61,14 +61,14 @@ class Journal:
                     f"{self.folder} holds something else; give the journal a new folder."
                 )
             self.folder.mkdir(parents=True, exist_ok=True)
-        self._lock = _locked(self.folder)
+        self._lock = _lock_folder(self.folder)
         try:
             if not self._described.exists():
                 named = named_in(self.folder, robot.file) if robot and robot.file else ""
                 self._describe(describe_recording(name, named, journal=True))
             self._kinds = self._read_description()
             for path in self.folder.glob("*.csv"):
-                _cut_unfinished(path)
+                _remove_unfinished_line(path)
         except BaseException:
             self._unlock()
             raise
@@ -101,13 +101,13 @@ class Journal:
         at = readings.time, readings.arclength
         rows = Rows(readings.kind, *at, readings.values, {}, settings)
         std, mount = _std(readings), readings.mount
-        before = self._stated.setdefault(readings.label, (std, mount))
-        if not all(map(_are_alike, before, (std, mount))):
+        stated = self._stated.setdefault(readings.label, (std, mount))
+        if not all(map(_nearly_equal, stated, (std, mount))):
             raise SensorError(
                 f"{readings.label}: its noise or mount is not that of the readings before, "
                 f"which stands in recording.toml; give these readings a name of their own."
             )
-        file = self._files.get(readings.label) or self._begin(readings, rows)
+        file = self._files.get(readings.label) or self._open_stream(readings, rows)
         table = rows.table()
         lines = (",".join(map(repr, row)) for row in table.tolist())
         file.write(("\n".join(lines) + "\n" if len(table) else "").encode())
@@ -143,7 +143,7 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _begin(self, readings: Readings, rows: Rows) -> BinaryIO:
+    def _open_stream(self, readings: Readings, rows: Rows) -> BinaryIO:
         """Open the stream's file, and describe a new stream in recording.toml."""
         name = file_stem(readings.label, SensorError)
         described = name in self._kinds
@@ -196,12 +196,12 @@ def _std(readings: Readings) -> Array:
     return np.sqrt(np.diagonal(cov))[: readings.rows]
 
 
-def _are_alike(stated: Array, given: Array) -> bool:
+def _nearly_equal(stated: Array, given: Array) -> bool:
     """Whether numbers equal those of recording.toml up to the rounding of rotations."""
     return np.allclose(stated, given, rtol=1e-9, atol=1e-12)
 
 
-def _locked(folder: Path) -> int | None:
+def _lock_folder(folder: Path) -> int | None:
     """File descriptor of a lock on a folder, released at exit; None if there are no such locks.
 
     Raises RecordingError if another process holds the lock.
@@ -228,7 +228,7 @@ def _has_rows(path: Path) -> bool:
     return path.exists() and path.read_bytes().count(b"\n") > 1
 
 
-def _cut_unfinished(path: Path) -> None:
+def _remove_unfinished_line(path: Path) -> None:
     """Remove an unfinished last line. Raises RecordingError if the path is not a regular file."""
     if path.is_symlink() or not path.is_file():
         raise RecordingError(f"{path} is no plain file; a journal writes to its own files alone.")

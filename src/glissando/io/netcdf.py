@@ -82,7 +82,7 @@ def save_posterior(posterior: Posterior, path: str | Path) -> None:
         variables |= _linearization(posterior)
     attributes["prior"] = json.dumps(posterior.prior.to_table())
     attributes["sensor_parameters"] = json.dumps(
-        [_plain({**vars(u), "values": values}) for u, values in posterior.sensor_parameters]
+        [_json_table({**vars(u), "values": values}) for u, values in posterior.sensor_parameters]
     )
     if posterior.grid.before is not None:
         attributes["time_before"] = posterior.grid.before
@@ -102,13 +102,13 @@ def _image(variables: Variables, attributes: dict[str, Any]) -> bytes:
         for name, (dimensions, values, about) in variables.items():
             sizes = zip(dimensions, values.shape, strict=True)
             file.dimensions.update({d: size for d, size in sizes if d not in file.dimensions})
-            packed: dict[str, Any] = {}
+            compression: dict[str, Any] = {}
             if values.nbytes > _PACKED:
-                per = max(1, _CHUNK * values.shape[0] // values.nbytes)
-                packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-                packed["chunks"] = (min(per, len(values)), *values.shape[1:])
+                rows_per_chunk = max(1, _CHUNK * values.shape[0] // values.nbytes)
+                compression = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+                compression["chunks"] = (min(rows_per_chunk, len(values)), *values.shape[1:])
             text = {"dtype": h5py.string_dtype()} if values.dtype == object else {}
-            variable = file.create_variable(name, dimensions, data=values, **text, **packed)
+            variable = file.create_variable(name, dimensions, data=values, **text, **compression)
             variable.attrs.update(about)
         file.attrs.update(attributes)
     return image.getvalue()
@@ -171,16 +171,18 @@ def _posterior(arrays: dict[str, Array], attributes: dict[str, Any], name: str) 
     blocks = (_numbers(arrays, key) for key in ("information", "information_below"))
     estimated = [_as_sensor_parameter(table) for table in json.loads(parameters)]
     system = BlockTridiagonal(*blocks)
-    _require_whole(grid, state, system, estimated)
+    _require_consistent(grid, state, system, estimated)
     points = [_numbers(arrays, key) for key in _POINTS if key in arrays]
     if points and [p.shape for p in points] != [(2, *field.shape) for field in state.fields()]:
         raise ValueError("where it was linearised does not fit its nodes")
     solve = SolveReport.from_table(json.loads(attributes["solve"]))
     f"{solve.status}{solve.iterations:d}{solve.cost:g}{sum(solve.seconds.values()):g}"  # or raises
-    where = (State(*(p[0] for p in points)), State(*(p[1] for p in points))) if points else None
+    linearized = (
+        (State(*(p[0] for p in points)), State(*(p[1] for p in points))) if points else None
+    )
     marginals = factor(system).marginals(consume=True)
-    marginals = transported(where[0] if where else state, state, marginals)
-    return Posterior(prior, grid, state, system, marginals, solve, estimated, where)
+    marginals = transported(linearized[0] if linearized else state, state, marginals)
+    return Posterior(prior, grid, state, system, marginals, solve, estimated, linearized)
 
 
 def _numbers(arrays: dict[str, Array], name: str) -> Array:
@@ -191,7 +193,7 @@ def _numbers(arrays: dict[str, Array], name: str) -> Array:
     return values
 
 
-def _require_whole(
+def _require_consistent(
     grid: Grid,
     state: State,
     system: BlockTridiagonal,
@@ -200,20 +202,20 @@ def _require_whole(
     """Raise ValueError unless the shapes are consistent and poses are rigid motions."""
     k, n = grid.shape
     size = sum(parameter.size for parameter, _ in estimated)
-    each = n * state.dof + size
-    wanted = [(k, n, 4, 4), *[(k, n, 6)] * (len(state.fields()) - 1), (k, each, each)]
+    block_size = n * state.dof + size
+    wanted = [(k, n, 4, 4), *[(k, n, 6)] * (len(state.fields()) - 1), (k, block_size, block_size)]
     shapes = [field.shape for field in state.fields()] + [system.diagonal.shape]
     values = [v.shape == (k, parameter.size) for parameter, v in estimated]
-    if shapes != wanted or system.lower.shape != (k - 1, each, each) or not all(values):
+    if shapes != wanted or system.lower.shape != (k - 1, block_size, block_size) or not all(values):
         raise ValueError(f"arrays of shapes {shapes} do not fit {k} times and {n} arclengths")
-    turn = state.pose[..., :3, :3]
-    skew = np.abs(turn @ np.swapaxes(turn, -1, -2) - np.eye(3)).max()
-    last = np.abs(state.pose[..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max()
-    if max(skew, last) > _SKEW or np.any(np.linalg.det(turn) < 0.0):
+    rotation = state.pose[..., :3, :3]
+    skew = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max()
+    bottom_row = np.abs(state.pose[..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max()
+    if max(skew, bottom_row) > _SKEW or np.any(np.linalg.det(rotation) < 0.0):
         raise ValueError("a pose is no rigid motion")
 
 
-def _plain(table: dict[str, Any]) -> dict[str, Any]:
+def _json_table(table: dict[str, Any]) -> dict[str, Any]:
     """Copy of a table for JSON: arrays become lists, and infinity None."""
     plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in table.items()}
     return {k: None if v == np.inf else v for k, v in plain.items()}

@@ -31,12 +31,12 @@ def physics_text(outline: RobotOutline) -> str:
         raise RobotFileError(
             "A simulated session is read by a coil that slides; give coil among the sensors too."
         )
-    length, count, across = outline.length, outline.segments, outline.diameter
-    outer = min(0.5 * across, max(across / 6.0, length / _SLENDER))
+    length, count, diameter = outline.length, outline.segments, outline.diameter
+    outer = min(0.5 * diameter, max(diameter / 6.0, length / _SLENDER))
     tubes = [(outer, _BORE * outer), (0.6 * outer, 0.4 * outer)]
     stiffness = _YOUNG * math.pi / 64.0 * sum(a**4 - b**4 for a, b in tubes)
-    radius, piece = _TENDON * across, length / count
-    tension = min(0.5 * outline.bend, _BENT / count) * stiffness / (radius * piece)
+    radius, segment_length = _TENDON * diameter, length / count
+    tension = min(0.5 * outline.bend, _BENT / count) * stiffness / (radius * segment_length)
     tendons = [
         f"[[physics.tendons]]\noffset = [{x * radius:.4g}, {y * radius:.4g}]\nend = {end}\n"
         f"friction = 0.15\n"
@@ -46,8 +46,8 @@ def physics_text(outline: RobotOutline) -> str:
     return _TEXT.format(
         young=_YOUNG,
         density=_DENSITY,
-        disk=0.5 * across,
-        disks=round(200.0 * across**2, 9),
+        disk=0.5 * diameter,
+        disks=round(200.0 * diameter**2, 9),
         inertial=_shares(length, 2),
         truth=_shares(length, 6),
         tubes=", ".join(f"{{ outer = {a:.4g}, inner = {b:.4g} }}" for a, b in tubes),
@@ -68,14 +68,14 @@ def _shapes(segments: int, tension: float) -> str:
     """Tables of named shapes: tensions, N, of the tendons, of which each segment has four."""
     straight, bent, twice = ([0.0] * 4 * segments for _ in range(3))
     bent[-4] = twice[-4] = float(f"{tension:.3g}")
-    out = [f"straight]\ntensions = {straight}", f"C]\ntensions = {bent}"]
-    moved, begins = f"straight-to-C]\ntime = [0, 20]\ntensions = [{straight}, {bent}]", straight
+    shapes = [f"straight]\ntensions = {straight}", f"C]\ntensions = {bent}"]
+    motion, initial = f"straight-to-C]\ntime = [0, 20]\ntensions = [{straight}, {bent}]", straight
     if segments > 1:  # the opposite tendon of the lower half bends it the other way
         twice[4 * (segments // 2) - 2] = 2.0 * bent[-4]
-        out.append(f"S]\ntensions = {twice}")
-        begins = bent
-        moved = f"C-to-S]\ntime = [0, 20]\ntensions = [{begins}, {twice}]"
-    return "\n\n".join(f"[physics.shapes.{shape}" for shape in [*out, moved])
+        shapes.append(f"S]\ntensions = {twice}")
+        initial = bent
+        motion = f"C-to-S]\ntime = [0, 20]\ntensions = [{initial}, {twice}]"
+    return "\n\n".join(f"[physics.shapes.{shape}" for shape in [*shapes, motion])
 
 
 _TEXT = """

@@ -98,9 +98,9 @@ class Recording(ShortRepr):
             if rows.dropped:
                 dropped[name] = rows.dropped
             readings = _as_readings(replace(stream, rows=rows), robot, as_truth)
-            stamped, made = rows.time, corrected(readings, moving).time
-            inside = np.minimum(stamped, made) >= window[0]
-            out.append(readings.select(inside & (np.maximum(stamped, made) <= window[1])))
+            stamp, measured = rows.time, corrected(readings, moving).time
+            inside = np.minimum(stamp, measured) >= window[0]
+            out.append(readings.select(inside & (np.maximum(stamp, measured) <= window[1])))
         return out, dropped
 
     def stream(self, name: str) -> Stream:

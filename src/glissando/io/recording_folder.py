@@ -38,15 +38,15 @@ def load_recording(folder: str | Path) -> Recording:
         raise RecordingError(f"load_recording was given {folder!r}; give a recording's folder.")
     folder = Path(folder)
     if folder.suffix == ".mcap" and folder.is_file():
-        return _of_log(folder)
+        return _read_log(folder)
     if not folder.is_dir():
         raise RecordingError(
             f"There is no recording folder {str(folder)!r}; give a folder with one CSV a stream."
         )
     if (folder / "recording.toml").exists():
-        return _described(folder)
+        return _read_described(folder)
     if (folder / LOG).is_file():
-        return _of_log(folder / LOG)
+        return _read_log(folder / LOG)
     files = sorted(folder.glob("*.csv"))
     if not files:
         raise RecordingError(
@@ -56,10 +56,10 @@ def load_recording(folder: str | Path) -> Recording:
     for file in files:
         rows, truth = read_public(file)
         streams[file.stem] = Stream(file.stem, rows, truth)
-    return Recording(folder.resolve().name, folder, streams, _fitting_robot(streams), None)
+    return Recording(folder.resolve().name, folder, streams, _matching_robot(streams), None)
 
 
-def _of_log(path: Path) -> Recording:
+def _read_log(path: Path) -> Recording:
     """Recording of a session log, which may have been cut off."""
     session = read_session(path)
     require_readable(session.metadata.get("format"), "session", path, RecordingError)
@@ -106,14 +106,14 @@ def save_recording(
         )
 
 
-def _fitting_robot(streams: dict[str, Stream]) -> Robot | None:
+def _matching_robot(streams: dict[str, Stream]) -> Robot | None:
     """The shipped robot as long as the largest arclength of a public recording, or None."""
     reach = max(float(s.rows.arclength.max()) for s in streams.values())
     robots = [load_robot(name) for name in shipped_robots()]
     return next((r for r in robots if abs(r.length - reach) < 1e-6), None)
 
 
-def _described(folder: Path) -> Recording:
+def _read_described(folder: Path) -> Recording:
     file = folder / "recording.toml"
     table = read_toml(file, RecordingError)
     require_readable(table.text("format", ""), "recording", file, RecordingError)
@@ -134,7 +134,7 @@ def _described(folder: Path) -> Recording:
         entry.close()
     for key in ("calibration", "made_by", "seed"):  # for the reader
         table.skip(key)
-    came_in = {}
+    recorded_in = {}
     for entry in table.tables("streams"):
         frame = entry.peek("frame")
         stream = _stream(folder, entry, frames, unknown, journal)
@@ -144,11 +144,11 @@ def _described(folder: Path) -> Recording:
             raise entry.fail("name", f"{stream.name!r} is given twice; name each stream once.")
         streams[stream.name] = stream
         if frame not in (None, "world", *unknown):
-            came_in[stream.name] = frames[frame]
+            recorded_in[stream.name] = frames[frame]
     table.close()
     if not streams and not journal:
         raise RecordingError("recording.toml names no [[streams]]; add one for each CSV file.")
-    return Recording(name, folder, streams, robot, window, came_in, allow, frozenset(unknown))
+    return Recording(name, folder, streams, robot, window, recorded_in, allow, frozenset(unknown))
 
 
 def _stream(
@@ -178,6 +178,6 @@ def _stream(
     entry.close()
     rows = read_named(file, kind, settings, length_unit=length, angle_unit=angle, journal=journal)
     rows = replace(rows, values=sensor.in_frame(rows.values, frames[frame]))
-    left = frame if frame in unknown else "world"
+    remaining_frame = frame if frame in unknown else "world"
     rows = clean(rows, None, keep_repeats)
-    return Stream(name, rows, truth, std, mount, keep_repeats, left, channel)
+    return Stream(name, rows, truth, std, mount, keep_repeats, remaining_frame, channel)

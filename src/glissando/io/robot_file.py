@@ -125,9 +125,9 @@ def parse_robot(table: Table) -> Robot:
     nodes = with_places(nodes, prior.joints)
     mechanics = getattr(prior, "mechanics", None) or read_mechanics(table)
     if mechanics is not None:
-        wrong = implausible(mechanics, length)
-        if wrong is not None:
-            raise table.fail(f"[mechanics] {wrong[0]}", wrong[1])
+        problem = implausible(mechanics, length)
+        if problem is not None:
+            raise table.fail(f"[mechanics] {problem[0]}", problem[1])
     sensors = _sensors(table)
     sensor_parameters = tuple(
         _sensor_parameter(entry) for entry in table.tables("sensor_parameters")
@@ -136,9 +136,9 @@ def parse_robot(table: Table) -> Robot:
     table.skip("format")
     table.skip("physics")  # read and checked by the simulator
     table.close()
-    beside = (mechanics, tube, tendons)
+    optional = (mechanics, tube, tendons)
     return Robot(
-        name, length, nodes, rate, prior, *sensors, sensor_parameters, *beside, at_readings
+        name, length, nodes, rate, prior, *sensors, sensor_parameters, *optional, at_readings
     )
 
 

@@ -101,8 +101,8 @@ def _require_streams(streams: Sequence[str]) -> None:
     if not streams:
         raise RobotFileError("A robot without sensors cannot be estimated; give one or more.")
     named = [file_stem(stream, RobotFileError) for stream in streams if stream]
-    if again := [name for name, count in Counter(named).items() if count > 1]:
-        raise RobotFileError(f"Two sensors are the stream {again[0]!r}; give each stream once.")
+    if repeated := [name for name, count in Counter(named).items() if count > 1]:
+        raise RobotFileError(f"Two sensors are the stream {repeated[0]!r}; give each stream once.")
 
 
 def robot_text(outline: RobotOutline) -> str:
@@ -115,12 +115,12 @@ def robot_text(outline: RobotOutline) -> str:
     Args:
         outline: Known properties of the robot.
     """
-    piece = outline.length / outline.segments
-    bending = (outline.bend / (2.0 * piece)) ** 2
-    inside, axial = bending / (12.0 * piece), (0.5 * outline.stretch) ** 2
-    joints = [round(piece * i, 9) for i in range(1, outline.segments)]
-    row = f"[1e-7, 1e-7, {axial / 40:.2g}, {inside:.3g}, {inside:.3g}, {inside / 15:.3g}]"
-    jump = f"[1e-9, 1e-9, {4 * axial:.2g}, {bending:.3g}, {bending:.3g}, {bending / 25:.2g}]"
+    segment_length = outline.length / outline.segments
+    var_u = (outline.bend / (2.0 * segment_length)) ** 2
+    psd_u, var_nu = var_u / (12.0 * segment_length), (0.5 * outline.stretch) ** 2
+    joints = [round(segment_length * i, 9) for i in range(1, outline.segments)]
+    row = f"[1e-7, 1e-7, {var_nu / 40:.2g}, {psd_u:.3g}, {psd_u:.3g}, {psd_u / 15:.3g}]"
+    jump = f"[1e-9, 1e-9, {4 * var_nu:.2g}, {var_u:.3g}, {var_u:.3g}, {var_u / 25:.2g}]"
     rows = row
     if joints:
         rows = f"[{', '.join([row] * outline.segments)}]"
@@ -134,7 +134,7 @@ def robot_text(outline: RobotOutline) -> str:
         off=f"{(0.2 * outline.diameter + 1e-3) ** 2:.2g}",
         clamped=20.0 * outline.time_scale,
         bend=math.degrees(outline.bend),
-        strain=f"[1e-7, 1e-7, {axial:.2g}, {bending:.3g}, {bending:.3g}, {bending / 25:.2g}]",
+        strain=f"[1e-7, 1e-7, {var_nu:.2g}, {var_u:.3g}, {var_u:.3g}, {var_u / 25:.2g}]",
         stretch=100.0 * outline.stretch,
         scale=outline.time_scale,
         joints=f"joints = {joints}\n" if joints else "",
@@ -155,16 +155,16 @@ def _sensors(outline: RobotOutline) -> str:
 
 def _parameters(outline: RobotOutline) -> str:
     """Entries of unknown sensor parameters by stream: delay, and a tracker's mount and drift."""
-    where = 0.1 * outline.diameter + 1e-3
+    std_position = 0.1 * outline.diameter + 1e-3
     out = [_REPEATED if any(stream for _, stream in outline.streams) else _UNNAMED]
     for kind, stream in outline.streams:
         if not stream:
             continue
         pieces = [("delay", "time_offset", "0.02", "")]
         if sensor_class(kind).tracker:
-            memory = "correlation_time = 1.0\n"
-            pieces = [("mount", "mount", f"{where:.2g}, 0.03", "")]
-            pieces.append(("drift", "mount", "3e-3, 0.03", memory))
+            correlation = "correlation_time = 1.0\n"
+            pieces = [("mount", "mount", f"{std_position:.2g}, 0.03", "")]
+            pieces.append(("drift", "mount", "3e-3, 0.03", correlation))
         for what, parameter, std, more in pieces:
             name = _quoted(f"{stream} {what}")
             out.append(_PARAMETER.format(name, parameter, _quoted(stream), std, more))

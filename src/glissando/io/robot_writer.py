@@ -71,11 +71,11 @@ def robot_document(robot: Robot) -> dict[str, Any]:
 def _sensors(robot: Robot) -> dict[str, dict[str, Any]]:
     """Tables of [sensors] by kind: std, clip, rate and loss."""
     tables: dict[str, dict[str, Any]] = {
-        kind: {"std": _listed(std)} for kind, std in robot.sensor_std.items()
+        kind: {"std": _as_list(std)} for kind, std in robot.sensor_std.items()
     }
     for key, numbers in (("clip", robot.sensor_range), ("rate", robot.sensor_rate)):
         for kind, number in numbers.items():
-            _own(robot, tables, kind, key)[key] = float(number)
+            _table_with_std(robot, tables, kind, key)[key] = float(number)
     for kind, loss in robot.sensor_loss.items():
         named = [name for name, known in LOSSES.items() if type(loss) is known]
         if not named:
@@ -84,11 +84,13 @@ def _sensors(robot: Robot) -> dict[str, dict[str, Any]]:
                 f"known: {', '.join(LOSSES)}."
             )
         stated = {"loss": named[0], "threshold": float(vars(loss)["threshold"])}
-        _own(robot, tables, kind, "loss").update(stated)
+        _table_with_std(robot, tables, kind, "loss").update(stated)
     return tables
 
 
-def _own(robot: Robot, tables: dict[str, dict[str, Any]], kind: str, key: str) -> dict[str, Any]:
+def _table_with_std(
+    robot: Robot, tables: dict[str, dict[str, Any]], kind: str, key: str
+) -> dict[str, Any]:
     """Table of a kind of sensor to which a key is added; the kind must have a std."""
     if kind not in tables:
         raise RobotFileError(
@@ -104,14 +106,14 @@ def _sensor_parameter(parameter: SensorParameter) -> dict[str, Any]:
         "name": parameter.name,
         "kind": parameter.kind,
         "streams": list(parameter.streams),
-        "value": _listed(parameter.value),
+        "value": _as_list(parameter.value),
     }
     if not parameter.known:
-        entry["std"] = _listed(parameter.std)
+        entry["std"] = _as_list(parameter.std)
     if np.isfinite(parameter.correlation_time):
         entry["correlation_time"] = float(parameter.correlation_time)
     return entry
 
 
-def _listed(values: Array) -> list[float]:
+def _as_list(values: Array) -> list[float]:
     return [float(value) for value in values]

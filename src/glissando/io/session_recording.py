@@ -88,7 +88,7 @@ def session_streams(
     table = Table(dict(setup), "setup", RecordingError)
     robot = table.text("robot")
     length = load_robot(robot_file(beside(folder, robot))).length
-    slid, zero, span = _slide(session)
+    slide_travel, zero, span = _slide_travel(session)
     warnings: list[str] = []
     streams: list[Stream] = []
 
@@ -100,14 +100,14 @@ def session_streams(
         warnings.extend(gaps)
         return time, poses
 
-    for name, (place, direction, moved_by, channel) in _coils(session, table).items():
-        moved, known = slid, span
+    for name, (origin, direction, moved_by, channel) in _coils(session, table).items():
+        travel, interval = slide_travel, span
         if moved_by:
-            moved = _travels(session, moved_by)
-            known = max(span[0], moved[0][0]), min(span[1], moved[0][-1])
-        time, poses = seen("tracker", name, *known)
+            travel = _stage_travel(session, moved_by)
+            interval = max(span[0], travel[0][0]), min(span[1], travel[0][-1])
+        time, poses = seen("tracker", name, *interval)
         if time.size:
-            arclength = place + direction * np.interp(time, *moved)
+            arclength = origin + direction * np.interp(time, *travel)
             rows = Rows(
                 "coil", time - zero, np.clip(arclength, *ends_of(channel, length)), poses, {}
             )
@@ -129,7 +129,7 @@ def session_streams(
     return SessionStreams(table.text("name", "session"), robot, streams, pose, warnings)
 
 
-def _slide(session: RawSession) -> tuple[tuple[Array, Array], float, tuple[float, float]]:
+def _slide_travel(session: RawSession) -> tuple[tuple[Array, Array], float, tuple[float, float]]:
     """Times (M,), s, and travels (M,), m, of the slide; the zero of times; the slide's time span.
 
     Without a slide, travel is 0, time zero is the first message, and the span is unbounded.
@@ -142,7 +142,7 @@ def _slide(session: RawSession) -> tuple[tuple[Array, Array], float, tuple[float
     return (np.zeros(1), np.zeros(1)), zero, (-np.inf, np.inf)
 
 
-def _travels(session: RawSession, name: str) -> tuple[Array, Array]:
+def _stage_travel(session: RawSession, name: str) -> tuple[Array, Array]:
     """Times (M,), s, and travels (M,), m, of a further stage. Raises RecordingError without any."""
     time, travel = seen_travels(session.topics.get(f"/slide/{name}"))
     if not time.size:
@@ -156,8 +156,8 @@ _Coil = tuple[float, float, str, Channel | None]
 
 def _coils(session: RawSession, setup: Table) -> dict[str, _Coil]:
     """Coils by name, from the setup's [coils], or the only one from its older keys."""
-    given = dict(setup.named_tables("coils"))
-    if given:
+    coils = dict(setup.named_tables("coils"))
+    if coils:
         return {
             name: (
                 coil.number("arclength", positive=False),
@@ -165,7 +165,7 @@ def _coils(session: RawSession, setup: Table) -> dict[str, _Coil]:
                 coil.text("slide", ""),
                 coil.channel(),
             )
-            for name, coil in given.items()
+            for name, coil in coils.items()
         }
     names = [t.removeprefix("/tracker/") for t in session.topics if t.startswith("/tracker/")]
     name = setup.text("coil", names[0] if len(names) == 1 else None) if names else ""
@@ -195,8 +195,8 @@ def seen_poses(topic: Topic | None) -> tuple[Array, Array]:
     seen &= np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) < 0.01
     rows = np.flatnonzero(seen)
     rows = rows[np.argsort(time[rows], kind="stable")]
-    again = np.append(False, frame[rows][1:] == frame[rows][:-1]) if rows.size else rows > 0
-    rows = rows[~again]
+    repeated = np.append(False, frame[rows][1:] == frame[rows][:-1]) if rows.size else rows > 0
+    rows = rows[~repeated]
     rotation = se3.rotation_from_quaternion(quaternion[rows])
     return time[rows], se3.pose(rotation, position[rows])
 

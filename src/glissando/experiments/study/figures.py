@@ -30,11 +30,11 @@ def study_figure(summary: dict[str, Any]) -> Any:
         panels[0, 0].figure.suptitle(summary["name"], x=0.02, ha="left", fontweight="bold")
         for column, (name, points) in enumerate(axes.items()):
             upper, lower = panels[:, column]
-            sound = [p for p in points if "position_rmse" in p]
+            succeeded = [p for p in points if "position_rmse" in p]
             place = _places(upper, [p["value"] for p in points])
             at = [x for x, p in zip(place, points, strict=True) if "position_rmse" in p]
-            _draw(upper, at, [p["position_rmse"] for p in sound], 1e3)
-            _draw(lower, at, [p["coverage95_position"] for p in sound], 1e2)
+            _draw(upper, at, [p["position_rmse"] for p in succeeded], 1e3)
+            _draw(lower, at, [p["coverage95_position"] for p in succeeded], 1e2)
             lower.axhline(95.0, color="0.5", linewidth=0.9, linestyle="--")
             lower.set_xlabel(f"{name} ({_UNITS[name]})" if name in _UNITS else name)
         panels[0, 0].set(ylabel="position RMSE (mm)", ylim=(0.0, None))

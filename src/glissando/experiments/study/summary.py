@@ -46,21 +46,21 @@ def summarise(study: Study, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _point(value: Any, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    sound = [row for row in rows if row["error"] is None]
-    out = {"value": value, "cells": len(rows), "failed": len(rows) - len(sound)}
-    if sound:
-        seeds, of = np.unique([row["seed"] for row in sound], return_inverse=True)
-        draws, cells = bootstrap(seeds.size, 2000), np.bincount(of)
+    succeeded = [row for row in rows if row["error"] is None]
+    out = {"value": value, "cells": len(rows), "failed": len(rows) - len(succeeded)}
+    if succeeded:
+        seeds, seed_index = np.unique([row["seed"] for row in succeeded], return_inverse=True)
+        draws, cells = bootstrap(seeds.size, 2000), np.bincount(seed_index)
 
         def mean(values: Array) -> Array:
-            sums = np.bincount(of, values)
+            sums = np.bincount(seed_index, values)
             return sums[draws].sum(axis=1) / cells[draws].sum(axis=1)
 
         for name in ("position_rmse", "rotation_rmse"):
-            rms = np.sqrt(mean(np.square([row[name] for row in sound])))
+            rms = np.sqrt(mean(np.square([row[name] for row in succeeded])))
             out[name] = interval(rms, seeds.size)
         for name, most in _MEANS.items():
-            values = mean(np.array([float(row[name]) for row in sound]))
+            values = mean(np.array([float(row[name]) for row in succeeded]))
             out[name] = interval(values, seeds.size, most)
     return out
 

@@ -83,11 +83,13 @@ class _File:
         rate = self.number("POINT", "RATE")
         self.rate = header_rate if rate is None else rate
         self.frames = self._count(self.first, last)
-        each = 4 * self._points + self._analog
-        whole = max(len(data) - self._begin, 0) // max(each * (4 if self._scale < 0 else 2), 1)
-        if self._begin < _BLOCK or self.frames < 1 or whole < self.frames:
+        words_per_frame = 4 * self._points + self._analog
+        stored = max(len(data) - self._begin, 0) // max(
+            words_per_frame * (4 if self._scale < 0 else 2), 1
+        )
+        if self._begin < _BLOCK or self.frames < 1 or stored < self.frames:
             raise ValueError(
-                f"it announces {self.frames} frames of {self._points} points and holds {whole}"
+                f"it announces {self.frames} frames of {self._points} points and holds {stored}"
             )
 
     def _count(self, first: int, last: int) -> int:
@@ -171,12 +173,14 @@ class _File:
 
     def points(self) -> tuple[Array, Array]:
         """Positions (P, F, 3) in the file's unit, and whether each (P, F) was measured."""
-        each, real = 4 * self._points + self._analog, self._scale < 0.0
-        count = self.frames * each * (1 + real)
+        words_per_frame, is_float = 4 * self._points + self._analog, self._scale < 0.0
+        count = self.frames * words_per_frame * (1 + is_float)
         raw = np.frombuffer(self._data, f"{self._order}u2", count, self._begin)
         with np.errstate(over="ignore", invalid="ignore"):
-            numbers = self._floats(raw) if real else self._scale * raw.view(f"{self._order}i2")
-            frames = np.asarray(numbers, float).reshape(self.frames, each)[:, : 4 * self._points]
+            numbers = self._floats(raw) if is_float else self._scale * raw.view(f"{self._order}i2")
+            frames = np.asarray(numbers, float).reshape(self.frames, words_per_frame)[
+                :, : 4 * self._points
+            ]
             table = frames.reshape(self.frames, self._points, 4).swapaxes(0, 1)
             seen = np.all(np.abs(table[..., :3]) < 1e30, axis=-1) & (table[..., 3] >= 0.0)
         return table[..., :3], seen

@@ -147,7 +147,7 @@ _GENERAL = ("time", "count", "clock", "length", "angle", "euler", "frame")
 
 def _mapping(table: Table) -> Mapping:
     counts = table.peek("count") is not None
-    turning = {key: table.peek(key) is not None for key in ("euler", "angle")}
+    given = {key: table.peek(key) is not None for key in ("euler", "angle")}
     clock = _column(table, "count" if counts else "time")
     if counts and table.peek("clock") is not None:
         raise table.fail("clock", "says nothing to count; leave it out, and give --rate HZ.")
@@ -168,10 +168,10 @@ def _mapping(table: Table) -> Mapping:
     table.close()
     if not objects or not all(objects.values()):
         raise table.fail("objects", "say no column; give x, y, z or those of another sensor.")
-    said = {key for columns in objects.values() for key in columns}
-    if turning["euler"] and not said & set(_TURNS):
+    used = {key for columns in objects.values() for key in columns}
+    if given["euler"] and not used & set(_TURNS):
         raise table.fail("euler", "says nothing to columns without a1, a2, a3; leave it out.")
-    if turning["angle"] and not said & _angles():
+    if given["angle"] and not used & _angles():
         raise table.fail("angle", "says nothing to columns without angles; leave it out.")
     return Mapping(clock, objects, counts, seconds, length, angle, euler, frame)
 
@@ -241,10 +241,10 @@ def _track(
     zeros = "x" not in keys  # trackers write zeros for an object that is not visible
     seen = samples(path, rows, clock, at, seconds, zeros=zeros)
     if keys[-4:] == _QUATERNION:  # all zeros: trackers write that for an object that is not visible
-        blind = ~np.any(seen.values[:, -4:], axis=1)
+        invisible = ~np.any(seen.values[:, -4:], axis=1)
         seen = replace(
-            seen, time=seen.time[~blind], values=seen.values[~blind],
-            missing=seen.missing + int(blind.sum()),
+            seen, time=seen.time[~invisible], values=seen.values[~invisible],
+            missing=seen.missing + int(invisible.sum()),
         )  # fmt: skip
     values = _values(path, mapping, kind, keys, seen.values)
     absolute = bool(seen.time.size and seen.time[0] > EPOCH)
@@ -275,9 +275,9 @@ def _kind(
         if given == set(keys):
             return kind, keys
     for key in sorted(given.difference(*kinds.values())):
-        meant = get_close_matches(key, _GENERAL, 1, _LIKE)
-        if meant:
-            raise RecordingError(f"--columns of {name}: {key} is no column; is {meant[0]} meant?")
+        similar = get_close_matches(key, _GENERAL, 1, _LIKE)
+        if similar:
+            raise RecordingError(f"--columns of {name}: {key} is no column; is {similar[0]} meant?")
     known = "; ".join(f"{kind}: {','.join(keys)}" for kind, keys in kinds.items())
     raise RecordingError(
         f"{path.name}: the columns {','.join(sorted(given))} of {name!r} make no sensor; give all "

@@ -52,8 +52,8 @@ def cells_of(path: Path) -> list[Line]:
         if delimiter != ",":
             cells = [CommaNumber(c.replace(",", ".")) if _COMMA.fullmatch(c) else c for c in cells]
         if out or any(cells):  # empty lines before the first do not count
-            bare = [c if isinstance(c, CommaNumber) else c.strip('"') for c in cells]
-            out.append((number, bare))
+            unquoted = [c if isinstance(c, CommaNumber) else c.strip('"') for c in cells]
+            out.append((number, unquoted))
     return out
 
 
@@ -73,16 +73,16 @@ def _require_one_mark(path: Path, line: int, cells: list[str]) -> None:
 
 def _delimiter(lines: list[str]) -> str:
     """Delimiter that occurs in most lines other than comments; empty for white space."""
-    some = [line for line in lines[:_LOOKED_AT] if line.strip()]
-    some = [line for line in some if not line.lstrip().startswith(REMARKS)] or some
-    most = max(_DELIMITERS, key=lambda d: sum(d in line for line in some))
-    having = [line for line in some if most in line]
-    if most == "," and 2 * sum(map(_of_blanks, having)) > len(having):
+    sample = [line for line in lines[:_LOOKED_AT] if line.strip()]
+    sample = [line for line in sample if not line.lstrip().startswith(REMARKS)] or sample
+    commonest = max(_DELIMITERS, key=lambda d: sum(d in line for line in sample))
+    containing = [line for line in sample if commonest in line]
+    if commonest == "," and 2 * sum(map(_separated_by_blanks, containing)) > len(containing):
         return ""
-    return most if having else ""
+    return commonest if containing else ""
 
 
-def _of_blanks(line: str) -> bool:
+def _separated_by_blanks(line: str) -> bool:
     """Whether a line's cells are separated by white space and its commas are decimal commas."""
     cells = line.split()
     return len(cells) > 1 and all("," not in c or _COMMA.fullmatch(c) for c in cells)
@@ -132,7 +132,7 @@ def samples(
     times: list[float] = []
     values: list[Array] = []
     dropped: Counter[str] = Counter()
-    missing, before = 0, -np.inf
+    missing, previous = 0, -np.inf
     for line, cells in rows:
         cells = cells + [""] * (1 + max([clock, *columns]) - len(cells))
         _require_one_mark(path, line, [cells[c] for c in (clock, *columns)])
@@ -140,23 +140,23 @@ def samples(
         if tick is None:
             missing += 1
             continue
-        if tick[0] != before:
-            require_ahead(path, line, before, tick[0])
-        before = float(tick[0])
+        if tick[0] != previous:
+            require_ahead(path, line, previous, tick[0])
+        previous = float(tick[0])
         numbers = as_numbers(path, line, [cells[c] for c in columns])
         if numbers is None or not (zeros or numbers.any()):
             missing += 1
-        elif times and times[-1] == before:
+        elif times and times[-1] == previous:
             dropped[REPEATED if np.array_equal(numbers, values[-1]) else SAME_TIME] += 1
         else:
-            times.append(before)
+            times.append(previous)
             values.append(numbers)
-    _require_fine(path, len(times), dropped[SAME_TIME])
+    _require_fine_clock(path, len(times), dropped[SAME_TIME])
     table = np.array(values).reshape(-1, len(columns))
     return Samples(seconds * np.array(times), table, missing, {**dropped})
 
 
-def _require_fine(path: Path, distinct: int, other: int) -> None:
+def _require_fine_clock(path: Path, distinct: int, other: int) -> None:
     if other and other >= distinct:
         raise RecordingError(
             f"{path.name}: {other} of {distinct + other} rows have the time of the row before but "

@@ -73,7 +73,7 @@ def _between(track: Track, time: Array) -> Array:
         out[np.isin(time, track.time)] = track.values
         return out
     on = (track.time[0] <= time) & (time <= track.time[-1])
-    turn = Slerp(track.time, Rotation.from_matrix(track.values[:, :3, :3]))(time[on])
-    place = [np.interp(time[on], track.time, column) for column in track.values[:, :3, 3].T]
-    out[on] = se3.pose(turn.as_matrix(), np.stack(place, axis=-1))
+    rotation = Slerp(track.time, Rotation.from_matrix(track.values[:, :3, :3]))(time[on])
+    position = [np.interp(time[on], track.time, column) for column in track.values[:, :3, 3].T]
+    out[on] = se3.pose(rotation.as_matrix(), np.stack(position, axis=-1))
     return out

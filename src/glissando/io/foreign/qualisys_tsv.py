@@ -63,10 +63,10 @@ def read_qualisys_tsv(path: Path, rate: float | None) -> list[Track]:
             track = Track(plain_name(name), "position", time, at, seen.missing)
         else:
             matrix = seen.values[:, 3:].reshape(-1, 3, 3).swapaxes(1, 2)
-            sound = np.abs(np.linalg.det(matrix) - 1.0) < 1e-2
-            pose = se3.pose(_orthonormal(matrix[sound]), at[sound])
-            lost = seen.missing + int(np.sum(~sound))
-            track = Track(plain_name(name), "pose", time[sound], pose, lost)
+            proper = np.abs(np.linalg.det(matrix) - 1.0) < 1e-2
+            pose = se3.pose(_orthonormal(matrix[proper]), at[proper])
+            lost = seen.missing + int(np.sum(~proper))
+            track = Track(plain_name(name), "pose", time[proper], pose, lost)
         tracks.append(replace(track, dropped=seen.dropped))
     return tracks
 

@@ -75,7 +75,7 @@ def write_recording(tracks: Sequence[Track], folder: Path, choices: Choices) -> 
     _warn_of_two_clocks(used, choices, start)
     streams, lines = [], []
     for track in tracks:
-        rows = _placed(track, choices, start, robot)
+        rows = _rows_of(track, choices, start, robot)
         if rows is None or not rows.time.size:
             why = "no arclength was given" if rows is None else _why_empty(rows)
             lines.append(f"{track.name}: left out, {why}")
@@ -164,7 +164,7 @@ def _tendon_rows(track: Track, time: Array, robot: Robot | None) -> Rows:
     return Rows("tendon", time, place, track.values[:, order], {}, tendons.settings())
 
 
-def _placed(track: Track, choices: Choices, start: float, robot: Robot | None) -> Rows | None:
+def _rows_of(track: Track, choices: Choices, start: float, robot: Robot | None) -> Rows | None:
     """Rows of a track with arclengths, and absolute times since `start`; None without arclength."""
     if track.kind == "tendon":
         shift = choices.shift.get(track.name, 0.0)
@@ -178,24 +178,24 @@ def _placed(track: Track, choices: Choices, start: float, robot: Robot | None) -
         return None
     time = track.time - (start if track.absolute else 0.0) + choices.shift.get(track.name, 0.0)
     kind = choices.kind.get(track.name, track.kind)
-    alike = next((kinds for kinds in _KINDS if track.kind in kinds), (track.kind,))
-    if kind not in alike:
+    possible = next((kinds for kinds in _KINDS if track.kind in kinds), (track.kind,))
+    if kind not in possible:
         raise RecordingError(f"{track.name} is a {track.kind}; it cannot be read as {kind!r}.")
     if not isinstance(place, Path):
         return Rows(kind, time, np.full(time.size, place), track.values, {})
-    at, arclength = read_path(place, choices.columns.get(place.name, ""))
-    at = at - (start if _since_1970(at) else 0.0)
-    inside = (time >= at[0]) & (time <= at[-1])
-    _require_one_clock(track.name, time, at, inside)
+    path_time, path_arclength = read_path(place, choices.columns.get(place.name, ""))
+    path_time = path_time - (start if _since_1970(path_time) else 0.0)
+    inside = (time >= path_time[0]) & (time <= path_time[-1])
+    _require_one_clock(track.name, time, path_time, inside)
     reason = "outside its path"
     if time.size and not inside.any():
         reason = (
-            f"at {time[0]:.6g} to {time[-1]:.6g} s, outside its path, which goes from {at[0]:.6g} "
-            f"to {at[-1]:.6g} s"
+            f"at {time[0]:.6g} to {time[-1]:.6g} s, outside its path, which goes from "
+            f"{path_time[0]:.6g} to {path_time[-1]:.6g} s"
         )
     dropped = {reason: int(np.sum(~inside))} if not inside.all() else {}
-    where = np.interp(time[inside], at, arclength)
-    return Rows(kind, time[inside], where, track.values[inside], dropped)
+    row_arclength = np.interp(time[inside], path_time, path_arclength)
+    return Rows(kind, time[inside], row_arclength, track.values[inside], dropped)
 
 
 def _require_one_clock(name: str, time: Array, path: Array, inside: NDArray[np.bool_]) -> None:

@@ -64,7 +64,7 @@ def read_bag(path: Path, topics: Sequence[str]) -> list[Track]:
         size = sum(file.stat().st_size for file in files)
         with _bounded_memory(size), AnyReader([path], default_typestore=known) as bag:
             types = {c.topic: c.msgtype for c in bag.connections}
-            chosen = _chosen(path, types, topics)
+            chosen = _chosen_topics(path, types, topics)
             static = [topic for topic, kind in types.items() if _is_static(topic, kind)]
             return _tracks(bag, types, chosen, static)
     except GlissandoError:
@@ -101,19 +101,19 @@ def _bounded_memory(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
-def _chosen(path: Path, types: dict[str, str], topics: Sequence[str]) -> list[str]:
+def _chosen_topics(path: Path, types: dict[str, str], topics: Sequence[str]) -> list[str]:
     wrong = [topic for topic in topics if types.get(topic) not in _KINDS]
     usable = [t for t, kind in types.items() if kind in _KINDS and not _is_static(t, kind)]
     if wrong or not usable:
         shown = ", ".join(usable) or "none"
         raise RecordingError(
             f"{path.name} has {'no pose topic ' + wrong[0] if wrong else 'no pose topics'}; those "
-            f"with stamped poses or transforms are: {shown}.{'' if usable else _held(types)}"
+            f"with stamped poses or transforms are: {shown}.{'' if usable else _contents(types)}"
         )
     return list(topics) or usable
 
 
-def _held(types: dict[str, str]) -> str:
+def _contents(types: dict[str, str]) -> str:
     """A sentence on the topics of a bag without poses, with a remedy."""
     held = [f"{topic} ({kind})" for topic, kind in types.items()]
     more = f" and {len(held) - _SHOWN} more" if len(held) > _SHOWN else ""
@@ -151,14 +151,14 @@ def _tracks(
         for child, poses in _poses(bag, topic, each=True).items():
             track = _track(f"{topic} {child}", poses)
             if track.time.size:
-                fixed[_plain(child)] = track.frame, track.values[-1]
+                fixed[_frame_name(child)] = track.frame, track.values[-1]
     out: list[Track] = []
     for topic in chosen:
         every = _poses(bag, topic, each=types[topic] in _TREES)
         if types[topic] not in _TREES:
             out += [_track(topic, poses) for poses in every.values()]
             continue
-        moving = {_plain(child): _track(f"{topic} {child}", of) for child, of in every.items()}
+        moving = {_frame_name(child): _track(f"{topic} {child}", of) for child, of in every.items()}
         tree = FrameTree(fixed, moving)
         out += [tree.at_root(child) for child in moving]
     return out
@@ -197,7 +197,7 @@ def _track(topic: str, poses: _Poses) -> Track:
     rows: dict[int, list[float]] = {}
     for at, logged, numbers in poses.read:
         rows.setdefault(at if at or begins else logged, numbers)
-    stamps, frame = sorted(rows), _plain(next(iter(poses.frames), ""))
+    stamps, frame = sorted(rows), _frame_name(next(iter(poses.frames), ""))
     table = np.array([rows[t] for t in stamps]).reshape(-1, 7)
     pose = se3.pose(se3.rotation_from_quaternion(table[:, :4]), table[:, 4:])
     name = plain_name(topic.replace("/", "_").strip("_"))
@@ -206,7 +206,7 @@ def _track(topic: str, poses: _Poses) -> Track:
     return replace(track, dropped={SAME_TIME: len(poses.read) - len(rows)})
 
 
-def _plain(frame: str) -> str:
+def _frame_name(frame: str) -> str:
     """Name of a frame in tracks."""
     return "world" if frame.strip("/") in _WORLDS else plain_name(frame)
 

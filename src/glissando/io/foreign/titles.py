@@ -29,13 +29,13 @@ def titled(path: Path, lines: list[Line], wanted: Sequence[str]) -> tuple[list[s
         first = next(
             (k for k, (_, cells) in enumerate(lines) if _is_row(cells, wanted)), len(lines)
         )
-        return _over_all([], lines[first:]), lines[first:]
+        return _padded([], lines[first:]), lines[first:]
     for k, (number, cells) in enumerate(lines):
         rows = lines[k + 1 :]
         for titles in (_uncommented(cells, rows), cells):
             if all(name in titles for name in named):
                 _require_width(path, number, titles, rows)
-                return _over_all(titles, rows), rows
+                return _padded(titles, rows), rows
     shown = ", ".join(repr(c) for c in (lines[0][1] if lines else []))[:200]
     raise RecordingError(
         f"{path.name} has no line with the titles {', '.join(named)}; it begins with {shown}. Name "
@@ -43,7 +43,7 @@ def titled(path: Path, lines: list[Line], wanted: Sequence[str]) -> tuple[list[s
     )
 
 
-def _over_all(titles: list[str], rows: list[Line]) -> list[str]:
+def _padded(titles: list[str], rows: list[Line]) -> list[str]:
     """Titles, with empty ones for further columns of the rows."""
     return titles + [""] * (_width(rows) - len(titles))
 

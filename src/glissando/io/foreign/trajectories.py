@@ -113,8 +113,8 @@ def export_stream(stream: Stream, out: str | Path) -> int:
     else:
         raise GlissandoError(f"{stream.name} is a {rows.kind}; a trajectory needs positions.")
     order = np.argsort(rows.time, kind="stable")
-    turn = np.roll(quaternion(poses[:, :3, :3]), -1, axis=1)
-    table = np.column_stack([rows.time, poses[:, :3, 3], turn])[order]
+    rotation = np.roll(quaternion(poses[:, :3, :3]), -1, axis=1)
+    table = np.column_stack([rows.time, poses[:, :3, 3], rotation])[order]
     with new_file(out) as building:
         np.savetxt(building, table, "%.15g")
     return rows.time.size
@@ -154,9 +154,9 @@ def _write_mcap(posterior: Posterior, building: Path, time: Array, arclength: Ar
     with SessionWriter(building, clocks) as log:
         for topic, described in SCHEMAS.items():
             log.add_topic(topic, described)
-        for some in np.array_split(time, time.size // _CHUNK + 1):
-            estimate = posterior.at(arclength, some[:, None])
-            for k, t in enumerate(some.tolist()):
+        for chunk in np.array_split(time, time.size // _CHUNK + 1):
+            estimate = posterior.at(arclength, chunk[:, None])
+            for k, t in enumerate(chunk.tolist()):
                 now = round(1e9 * t)
                 for topic, message in _messages(estimate, k, t, arclength).items():
                     log.write(topic, message, now)

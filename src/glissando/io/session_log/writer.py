@@ -52,7 +52,7 @@ class SessionWriter:
         self._flushed = 0.0
         clocks = {"monotonic_ns": str(time.monotonic_ns()), "wall_ns": str(time.time_ns())}
         try:
-            with self._sound():
+            with self._locked_writer():
                 self._writer.start(profile="", library="glissando")
                 stated = {"format": stated_format("session"), **clocks, **(metadata or {})}
                 self._writer.add_metadata("session", stated)
@@ -61,13 +61,13 @@ class SessionWriter:
             with suppress(OSError):
                 self._file.close()
             raise
-        self._keeper = threading.Thread(target=self._keep_safe, name="session", daemon=True)
-        self._keeper.start()
+        self._flusher = threading.Thread(target=self._flush_regularly, name="session", daemon=True)
+        self._flusher.start()
 
     def add_topic(self, topic: str, message: Mapping[str, Any], **metadata: str) -> None:
         """Declare a topic with the JSON schema of its messages; repeating that has no effect."""
         text = json.dumps(message).encode()
-        with self._sound():
+        with self._locked_writer():
             if topic not in self._channels:
                 made = self._writer.register_schema(message.get("title", topic), "jsonschema", text)
                 channel = self._writer.register_channel(topic, "json", made, metadata)
@@ -87,7 +87,7 @@ class SessionWriter:
         """
         data = encoded(topic, message)
         now = time.monotonic_ns() if time_ns is None else time_ns
-        with self._sound():
+        with self._locked_writer():
             if topic not in self._channels:
                 raise GlissandoError(f"Topic {topic!r} is not declared; call add_topic first.")
             if not 0 <= now < 1 << 63:
@@ -99,13 +99,13 @@ class SessionWriter:
 
     def sync(self) -> None:
         """Flush everything written so far to disk."""
-        with self._sound():
+        with self._locked_writer():
             self._flush()
             at = os.dup(self._file.fileno())  # fsync outside the lock: the disk may be slow
         try:
             os.fsync(at)
         except OSError as problem:
-            raise self._refused(problem) from None
+            raise self._write_error(problem) from None
         finally:
             os.close(at)
 
@@ -116,11 +116,11 @@ class SessionWriter:
             GlissandoError: Writing to disk failed.
         """
         self._closing.set()
-        self._keeper.join()
+        self._flusher.join()
         if self._file.closed:
             return
         try:
-            with self._sound():
+            with self._locked_writer():
                 self._writer.finish()
                 self._file.flush()
                 os.fsync(self._file.fileno())
@@ -139,13 +139,13 @@ class SessionWriter:
         self._writer.flush()
         self._flushed = time.monotonic()
 
-    def _keep_safe(self) -> None:
+    def _flush_regularly(self) -> None:
         with suppress(GlissandoError):  # the next write raises it
             while not self._closing.wait(_SAFE_EVERY):
                 self.sync()
 
     @contextmanager
-    def _sound(self) -> Iterator[None]:
+    def _locked_writer(self) -> Iterator[None]:
         """Hold the lock of the log; raises if it is closed or if writing has failed before."""
         with self._lock:
             if self._failure is None and self._file.closed:
@@ -155,9 +155,9 @@ class SessionWriter:
                     raise self._failure
                 yield
             except OSError as problem:
-                raise self._refused(problem) from None
+                raise self._write_error(problem) from None
 
-    def _refused(self, problem: OSError) -> GlissandoError:
+    def _write_error(self, problem: OSError) -> GlissandoError:
         self._failure = problem
         return GlissandoError(
             f"{self.path} could not be written on ({problem.strerror}); make room. What came "
