@@ -248,7 +248,7 @@ def test_the_file_to_start_from_is_not_overwritten(recording, tmp_path, capsys):
     assert own.read_text() == (recording / "few.toml").read_text()
     nowhere = tmp_path / "no" / "folder.toml"
     assert run("learn", recording, "--robot", own, "--out", nowhere, *WINDOW) == 2
-    assert "is no file in a folder that exists" in capsys.readouterr().err
+    assert "is not a file in an existing folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

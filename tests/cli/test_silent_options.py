@@ -78,5 +78,5 @@ def test_an_option_without_effect_is_refused(place, monkeypatch, capsys, words, 
     assert main(words.split()) == 2
     said = capsys.readouterr().err
     assert said.startswith("glissando: --")
-    assert f" says nothing to {to}" in said
+    assert f" has no effect on {to}" in said
     assert said.endswith("; leave it out.\n")

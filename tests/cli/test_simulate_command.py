@@ -218,4 +218,4 @@ def test_a_coil_in_a_channel_is_recorded_with_it_and_estimated_live_by_it(tmp_pa
 def test_a_channel_that_cannot_be_is_one_sentence(tmp_path, wrong, capsys):
     with pytest.raises(SystemExit):
         simulate(tmp_path / "s", "--channel", wrong)
-    assert "is no channel; give RADIUS,ANGLE" in capsys.readouterr().err
+    assert "is not a channel; give RADIUS,ANGLE" in capsys.readouterr().err

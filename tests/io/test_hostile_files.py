@@ -279,11 +279,11 @@ def test_a_journal_writes_to_its_own_files_alone(tmp_path):
     (tmp_path / "mine.txt").write_text("no end of line")
     Journal(tmp_path / "log").close()
     (tmp_path / "log" / "tip.csv").symlink_to(tmp_path / "mine.txt")
-    with pytest.raises(RecordingError, match="no plain file"):
+    with pytest.raises(RecordingError, match="not a regular file"):
         Journal(tmp_path / "log")
     assert (tmp_path / "mine.txt").read_text() == "no end of line"
     plain = tmp_path / "plain"
     plain.mkdir()
     (plain / "recording.toml").write_text('name = "a"\n')
-    with pytest.raises(RecordingError, match="no journal"):
+    with pytest.raises(RecordingError, match="not a journal"):
         Journal(plain)

@@ -96,7 +96,7 @@ def test_a_robot_file_travels_with_the_recording(tmp_path):
     [
         ([], "Nothing is left to write (tip: left out, no arclength was given); say where"),
         (["--arclength", "top=0.1"], "The files hold no 'top'; they hold tip"),
-        (["--arclength", "tip"], "'tip' is no NAME=VALUE"),
+        (["--arclength", "tip"], "'tip' is not NAME=VALUE"),
         (["--arclength", "tip=far"], "'far' is not a number"),
         (["--arclength", "tip=186.5"], "tip=186.5 m is on no robot; give metres"),
         (["--arclength", "tip=nan"], "'nan' is not a number"),
@@ -107,7 +107,7 @@ def test_a_robot_file_travels_with_the_recording(tmp_path):
         (["--arclength", "tip=0", "--robot", "nobody"], "no robot named 'nobody'"),
         (["--arclength", "tip=0", "--rate", "b.csv=3"], "--rate names 'b.csv'; the files are"),
         (["--arclength", "tip=0", "--rate", "fast"], "--rate 'fast' is not a number"),
-        (["--arclength", "tip=0", "--topic", "/tip"], "--topic says nothing to files that are no"),
+        (["--arclength", "tip=0", "--topic", "/tip"], "--topic has no effect on files that are"),
     ],
 )
 def test_a_mistake_is_one_sentence_and_nothing_is_written(tmp_path, capsys, options, sentence):

@@ -175,9 +175,9 @@ def test_frames_that_are_counted_need_their_rate(tmp_path):
         read_tracks(tmp_path / "a.csv", columns=said)
     (track,) = read_tracks(tmp_path / "a.csv", columns=said, rate=100.0)
     np.testing.assert_allclose(track.time, [0.1, 0.11])
-    with pytest.raises(RecordingError, match="--rate 100 says nothing"):
+    with pytest.raises(RecordingError, match="--rate 100 has no effect"):
         read_tracks(tmp_path / "a.csv", columns="time=n,x=x,y=y,z=z", rate=100.0)
-    with pytest.raises(RecordingError, match="clock says nothing to count"):
+    with pytest.raises(RecordingError, match="clock has no effect on count"):
         read_tracks(tmp_path / "a.csv", columns=f"{said},clock=ms", rate=100.0)
 
 
@@ -199,8 +199,8 @@ def test_a_path_of_a_slide_is_read_from_its_travel(tmp_path):
         ("t,x,y\n1,2,3\n", "time=t,x=x,y=y", "the columns x,y of 'log' make no sensor"),
         ("t,x,y,z\n1,2,3,4\n", "x=x,y=y,z=z", "time is missing"),
         ("t [s] x y z\n1 2 3 4\n", "time=t,x=x,y=y,z=z", "line 1 has 5 titles, and the rows"),
-        ("t,x,y,z\n1,2,3,4\n", "time=t,x", "'x' is no KEY=COLUMN"),
-        ("t,x,y,z\n1,2,3,4\n", "time=t,x=x,y=y,z=z,angel=deg", "angel is no column; is angle m"),
+        ("t,x,y,z\n1,2,3,4\n", "time=t,x", "'x' is not KEY=COLUMN"),
+        ("t,x,y,z\n1,2,3,4\n", "time=t,x=x,y=y,z=z,angel=deg", "angel is not a column; is angle"),
         ("0,1,2,3\n", "time=0,x=2,y=3,z=4", "has no column '0'; it has 4 columns, numbered from 1"),
         ("0,1,2,3\n", "time=1,x=1,y=3,z=4", "x is the column of the time, 1; give it its own"),
         ("t,x,y,z\n1,2,3,4\n", "time=t,x=x,y=y,z=z,length=inch", "length is 'inch'; give one of"),
@@ -209,9 +209,9 @@ def test_a_path_of_a_slide_is_read_from_its_travel(tmp_path):
         ("t,x,y,z,a,b,c\n1,2,3,4,5,6,7\n", "time=t,x=x,y=y,z=z,a1=a,a2=b,a3=c", "say the axes of"),
         ("t,x,y,z,a,b,c,d\n1,2,3,4,5,6,7,8\n",
          "time=t,x=x,y=y,z=z,qw=a,qx=b,qy=c,qz=d", "a quaternion has norm 13.2"),
-        ("0,1,2,3\n", "time=1,x=2,y=3,z=4,euler=ZYX", "euler says nothing to columns without a1"),
-        ("0,1,2,3\n", "time=1,x=2,y=3,z=4,angle=deg", "angle says nothing to columns without an"),
-        ("0,1,2,3\n", "time=1,wx=2,wy=3,wz=4,euler=ZYX", "euler says nothing to columns with"),
+        ("0,1,2,3\n", "time=1,x=2,y=3,z=4,euler=ZYX", "euler has no effect on columns without"),
+        ("0,1,2,3\n", "time=1,x=2,y=3,z=4,angle=deg", "angle has no effect on columns without"),
+        ("0,1,2,3\n", "time=1,wx=2,wy=3,wz=4,euler=ZYX", "euler has no effect on columns with"),
         ("0,0.2,0.2,0.2,0.2\n1,1,0,0,0\n",
          "time=1,qw=2,qx=3,qy=4,qz=5", "a quaternion has norm 0.4"),
         ("t,x,y,z,x\n1,2,3,4,5\n", XYZ, "has 2 columns 'x'; give the number of the one"),

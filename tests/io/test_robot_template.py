@@ -91,7 +91,7 @@ def test_names_may_have_any_letters(tmp_path):
         ({"time_scale": 5000.0}, "time scale of 5000 s"),
         ({"segments": 0}, "0 segments"),
         ({"length": 0.05, "diameter": 0.1}, "give both"),
-        ({"sensors": ["camera"]}, "'camera' is no kind of sensor; known: pose"),
+        ({"sensors": ["camera"]}, "'camera' is not a kind of sensor; known: pose"),
     ],
 )
 def test_unlikely_numbers_are_refused_with_what_is_likely(wrong, said):
@@ -115,7 +115,7 @@ def test_the_command_writes_once_and_says_what_it_lacks(tmp_path, capsys, monkey
     assert "there already" in capsys.readouterr().err
     answers = iter(["wide"])
     assert main([*words[:-1], str(tmp_path / "other.toml")]) == 2
-    assert "'wide' is no number" in capsys.readouterr().err
+    assert "'wide' is not a number" in capsys.readouterr().err
 
 
 @law

@@ -249,7 +249,7 @@ def test_mistakes_are_sentences(tmp_path):
             log.write("u", {})
         with pytest.raises(GlissandoError, match=r"'t' cannot be written .* finite numbers"):
             log.write("t", {"x": np.inf})
-        with pytest.raises(GlissandoError, match="a set is no JSON"):
+        with pytest.raises(GlissandoError, match="a set is not JSON"):
             log.write("t", {"x": {1}})
         with pytest.raises(GlissandoError, match="Log time -1 ns cannot be"):
             log.write("t", {}, -1)
@@ -261,7 +261,7 @@ def test_mistakes_are_sentences(tmp_path):
     with pytest.raises(GlissandoError, match="cannot be written"):
         SessionWriter(tmp_path / "no" / "a.mcap")
     (tmp_path / "text").write_text("time,arclength")
-    with pytest.raises(RecordingError, match="is no MCAP file"):
+    with pytest.raises(RecordingError, match="is not an MCAP file"):
         read_session(tmp_path / "text")
     with pytest.raises(RecordingError, match="cannot be read"):
         read_session(tmp_path / "nowhere")

@@ -75,7 +75,7 @@ def _robot_and_layout(
         return load_robot(options.robot), None
     folder: Path = options.target
     if not folder.is_dir():
-        raise GlissandoError(f"--draws takes places and times of a recording; {folder} is none.")
+        raise GlissandoError(f"--draws takes places and times of a recording; {folder} is not one.")
     recording = load_recording(folder)
     robot = chosen_robot(recording, options.robot)
     window = tuple(options.window) if options.window else None

@@ -92,7 +92,7 @@ def _import(options: argparse.Namespace) -> int:
     paths = [place for place in arclength.values() if isinstance(place, Path)]
     mappings = _mappings(options.columns, options.files, paths)
     if not any(map(is_bag, options.files)):
-        refuse_unused(options, "files that are no bags", "topic")
+        refuse_unused(options, "files that are not bags", "topic")
     kinds = pairs(options.kind)
     choices = Choices(arclength, options.truth, shift, kinds, options.robot, mappings)
     require_writable(options.out.parent)
@@ -199,7 +199,7 @@ def pairs(text: str) -> dict[str, str]:
     for part in names(text):
         name, equals, value = part.partition("=")
         if not equals or not name or not value:
-            raise GlissandoError(f"{part!r} is no NAME=VALUE; write them with commas between.")
+            raise GlissandoError(f"{part!r} is not NAME=VALUE; write them with commas between.")
         values[name.strip()] = value.strip()
     return values
 
@@ -222,7 +222,7 @@ def number(option: str, text: str) -> float:
 def _arclength_or_path(text: str) -> float | Path:
     if Path(text).is_file():
         return Path(text)
-    return number("--arclength, where it is no file,", text)
+    return number("--arclength, if it is not a file,", text)
 
 
 def _rates(text: str, files: list[Path]) -> dict[str, float]:

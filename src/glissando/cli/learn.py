@@ -269,7 +269,7 @@ def _matches(label: str, only: list[str]) -> bool:
 def _require_writable(options: argparse.Namespace) -> None:
     out = options.out
     if out.is_dir() or not out.absolute().parent.is_dir():
-        raise GlissandoError(f"--out {out} is no file in a folder that exists; give one.")
+        raise GlissandoError(f"--out {out} is not a file in an existing folder; give one.")
     if out.exists() and robot_file(options.robot).resolve() == out.resolve():
         raise GlissandoError(f"--out {out} is the file to start from; give another name.")
     require_replaceable("--out", out, *options.recordings, begins=(LEARNED,))

@@ -116,4 +116,4 @@ def _answer(key: str) -> object:
     try:
         return int(text) if key == "segments" else float(text)
     except ValueError:
-        raise GlissandoError(f"{text!r} is no number; give {_ASKED[key].lower()}.") from None
+        raise GlissandoError(f"{text!r} is not a number; give {_ASKED[key].lower()}.") from None

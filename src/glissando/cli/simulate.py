@@ -66,7 +66,7 @@ def channel(text: str) -> Channel:
         return Channel(*map(float, text.split(",")))
     except (TypeError, ValueError) as problem:
         raise argparse.ArgumentTypeError(
-            f"{text!r} is no channel; give RADIUS,ANGLE or RADIUS,ANGLE,PITCH. {problem}"
+            f"{text!r} is not a channel; give RADIUS,ANGLE or RADIUS,ANGLE,PITCH. {problem}"
         ) from None
 
 

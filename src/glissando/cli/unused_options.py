@@ -23,4 +23,4 @@ def refuse_unused(options: argparse.Namespace, to: str, *silent: str) -> None:
     for name in silent:
         if getattr(options, name) != options.default_of(name):
             flag = _FLAGS.get(name, name).replace("_", "-")
-            raise GlissandoError(f"--{flag} says nothing to {to}; leave it out.")
+            raise GlissandoError(f"--{flag} has no effect on {to}; leave it out.")

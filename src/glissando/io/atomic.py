@@ -102,7 +102,7 @@ def require_new(folder: Path, error: type[GlissandoError]) -> None:
         error: Class of the error to raise otherwise.
     """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise error(f"{folder} exists and is no folder; give another --out.")
+        raise error(f"{folder} exists and is not a folder; give another --out.")
     if folder.exists() and any(folder.iterdir()):
         raise error(f"{folder} exists and is not empty; give another --out.")
 

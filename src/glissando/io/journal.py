@@ -54,7 +54,7 @@ class Journal:
         self._stated: dict[str, tuple[Array, Array]] = {}  # noise and mount of each stream
         self._synced = time.monotonic()
         if self.folder.exists() and not self.folder.is_dir():
-            raise RecordingError(f"{self.folder} is no folder; give the journal another one.")
+            raise RecordingError(f"{self.folder} is not a folder; give the journal another one.")
         if not self._described.exists():
             if self.folder.exists() and any(self.folder.iterdir()):
                 raise RecordingError(
@@ -169,7 +169,7 @@ class Journal:
         table = read_toml(self._described, RecordingError)
         if not table.flag("journal"):
             raise RecordingError(
-                f"{self.folder} is a recording and no journal; give the journal a new folder."
+                f"{self.folder} is a recording, but not a journal; give the journal a new folder."
             )
         kinds: dict[str, str] = {}
         for entry in table.tables("streams"):
@@ -231,7 +231,9 @@ def _has_rows(path: Path) -> bool:
 def _remove_unfinished_line(path: Path) -> None:
     """Remove an unfinished last line. Raises RecordingError if the path is not a regular file."""
     if path.is_symlink() or not path.is_file():
-        raise RecordingError(f"{path} is no plain file; a journal writes to its own files alone.")
+        raise RecordingError(
+            f"{path} is not a regular file; a journal writes to its own files alone."
+        )
     with path.open("rb+") as file:
         text = file.read()
         file.truncate(text.rfind(b"\n") + 1)

@@ -212,7 +212,7 @@ def _require_consistent(
     skew = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max()
     bottom_row = np.abs(state.pose[..., 3, :] - [0.0, 0.0, 0.0, 1.0]).max()
     if max(skew, bottom_row) > _SKEW or np.any(np.linalg.det(rotation) < 0.0):
-        raise ValueError("a pose is no rigid motion")
+        raise ValueError("a pose is not a rigid motion")
 
 
 def _json_table(table: dict[str, Any]) -> dict[str, Any]:

@@ -51,7 +51,7 @@ def require_plain(path: Path, most: int = _MOST) -> None:
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder")
     if not stat.S_ISREG(status.st_mode):
-        raise OSError(errno.EINVAL, "it is no plain file")
+        raise OSError(errno.EINVAL, "it is not a regular file")
     if status.st_size > most:
         raise OSError(errno.EFBIG, f"it has {status.st_size:,} bytes, and {most:,} are read")
 

@@ -77,9 +77,9 @@ class RobotOutline:
         for kind, _ in self.streams:
             if kind not in _NOISE:
                 known = ", ".join(k for k in sensor_kinds() if k in _NOISE)
-                what = "is no kind of sensor"
+                what = "is not a kind of sensor"
                 if kind in sensor_kinds():
-                    what = "takes mechanics that a new file has not"
+                    what = "needs mechanics, which a new file lacks"
                 raise RobotFileError(f"{kind!r} {what}; known: {known}.")
         _require_streams([stream for _, stream in self.streams])
 

@@ -62,9 +62,9 @@ def session_setup(session: RawSession) -> dict[str, Any]:
     try:
         setup = json.loads(text)
     except (ValueError, RecursionError) as problem:
-        raise RecordingError(f"The session's setup is no JSON ({problem}); correct it.") from None
+        raise RecordingError(f"The session's setup is not JSON ({problem}); correct it.") from None
     if not isinstance(setup, dict):
-        raise RecordingError("The session's setup is no JSON object; give one, {…}.")
+        raise RecordingError("The session's setup is not a JSON object; give one, {…}.")
     return setup
 
 

@@ -135,7 +135,7 @@ def _entries(text: str) -> dict[str, str]:
         key, equals, value = part.partition("=")
         if not equals or not key.strip() or not value.strip():
             raise RecordingError(
-                f"--columns: {part!r} is no KEY=COLUMN; write time=1,x=2,… or name a .toml file."
+                f"--columns: {part!r} is not KEY=COLUMN; write time=1,x=2,… or name a .toml file."
             )
         entries[key.strip()] = value.strip()
     return entries
@@ -150,7 +150,7 @@ def _mapping(table: Table) -> Mapping:
     given = {key: table.peek(key) is not None for key in ("euler", "angle")}
     clock = _column(table, "count" if counts else "time")
     if counts and table.peek("clock") is not None:
-        raise table.fail("clock", "says nothing to count; leave it out, and give --rate HZ.")
+        raise table.fail("clock", "has no effect on count; leave it out, and give --rate HZ.")
     seconds = _TIMES[table.text("clock", "s", choices=_TIMES)]
     length = LENGTHS[table.text("length", "m", choices=LENGTHS)]
     angle = _ANGLES[table.text("angle", "rad", choices=_ANGLES)]
@@ -167,12 +167,12 @@ def _mapping(table: Table) -> Mapping:
             raise entries.fail(key, f"is the column of the time, {clock}; give it its own.")
     table.close()
     if not objects or not all(objects.values()):
-        raise table.fail("objects", "say no column; give x, y, z or those of another sensor.")
+        raise table.fail("objects", "name no column; give x, y, z or those of another sensor.")
     used = {key for columns in objects.values() for key in columns}
     if given["euler"] and not used & set(_TURNS):
-        raise table.fail("euler", "says nothing to columns without a1, a2, a3; leave it out.")
+        raise table.fail("euler", "has no effect on columns without a1, a2, a3; leave it out.")
     if given["angle"] and not used & _angles():
-        raise table.fail("angle", "says nothing to columns without angles; leave it out.")
+        raise table.fail("angle", "has no effect on columns without angles; leave it out.")
     return Mapping(clock, objects, counts, seconds, length, angle, euler, frame)
 
 
@@ -277,7 +277,9 @@ def _kind(
     for key in sorted(given.difference(*kinds.values())):
         similar = get_close_matches(key, _GENERAL, 1, _LIKE)
         if similar:
-            raise RecordingError(f"--columns of {name}: {key} is no column; is {similar[0]} meant?")
+            raise RecordingError(
+                f"--columns of {name}: {key} is not a column; is {similar[0]} meant?"
+            )
     known = "; ".join(f"{kind}: {','.join(keys)}" for kind, keys in kinds.items())
     raise RecordingError(
         f"{path.name}: the columns {','.join(sorted(given))} of {name!r} make no sensor; give all "

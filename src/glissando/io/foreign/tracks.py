@@ -103,7 +103,7 @@ def require_no_rate(path: Path, rate: float | None) -> None:
     """Raise RecordingError if a rate is given, which has no effect on a file with times."""
     if rate is not None:
         raise RecordingError(
-            f"{path.name} states the times of its rows, to which --rate {rate:g} says nothing; "
+            f"{path.name} states the times of its rows, so --rate {rate:g} has no effect; "
             f"leave it out, or name the files that need one, --rate FILE=HZ."
         )
 

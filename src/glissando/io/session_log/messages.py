@@ -50,7 +50,7 @@ def encoded(topic: str, message: Mapping[str, Any]) -> bytes:
 def _as_list(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    raise TypeError(f"a {type(value).__name__} is no JSON")
+    raise TypeError(f"a {type(value).__name__} is not JSON")
 
 
 def _without_nan(value: Any) -> Any:

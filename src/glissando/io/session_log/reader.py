@@ -104,7 +104,7 @@ def _records(file: BinaryIO, path: str | Path) -> Iterator[tuple[int, bytes]]:
     """Kinds and bodies of the complete records of a file."""
     magic = file.read(len(_MAGIC))
     if not _MAGIC.startswith(magic):
-        raise RecordingError(f"{path} is no MCAP file; give one that SessionWriter wrote.")
+        raise RecordingError(f"{path} is not an MCAP file; give one that SessionWriter wrote.")
     yield from _records_from(file)
 
 
