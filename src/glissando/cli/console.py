@@ -29,7 +29,7 @@ TRUTH_HEADINGS = tuple(heading for heading, *_ in _OF_TRUTH.values())
 
 
 class Console(RichConsole):
-    """A console that raises BrokenPipeError for `main` to handle, and does not wrap files.
+    """A console that leaves a broken pipe to `main`, and does not wrap output to files.
 
     Output that is not a terminal gets whole lines, unless the environment sets COLUMNS.
     """

@@ -75,8 +75,8 @@ class Scene:
         robot: Shipped robot or robot file that is simulated.
         prior: Robot file for the estimate; empty for `robot`.
         dynamic: Whether the simulated robot has inertia.
-        paced: Whether the rate of time nodes and the prior's densities over time are scaled from
-            the shape's own duration to `duration`.
+        paced: Whether the rate of time nodes and the prior's densities are scaled from the shape's
+            own duration to `duration`.
         published: Parts of the published estimator that replace ours, of `published.PARTS`.
         judged: Largest arclength of truth streams that are compared with, m.
     """
@@ -227,7 +227,7 @@ def grid(scene: Scene) -> Grid:
 
 
 def prior(scene: Scene) -> Prior:
-    """Prior of the robot file, with densities over time scaled for `still` and `paced` scenes.
+    """Prior of the robot file, with its densities scaled for `still` and `paced` scenes.
 
     Raises RobotFileError for such a scene with a separable prior, which has a time scale instead.
     """

@@ -1,6 +1,6 @@
 """Files and folders that are written whole or not at all.
 
-Each is built under a temporary path, flushed to disk, then renamed into place.
+Each is built under a temporary path, then renamed into place; a file is flushed to disk before.
 """
 
 from __future__ import annotations

@@ -229,7 +229,7 @@ def _has_rows(path: Path) -> bool:
 
 
 def _remove_unfinished_line(path: Path) -> None:
-    """Remove an unfinished last line. Raises RecordingError if the path is not a regular file."""
+    """Remove an unfinished last line. Raises RecordingError for a link or another kind of path."""
     if path.is_symlink() or not path.is_file():
         raise RecordingError(
             f"{path} is not a regular file; a journal writes to its own files alone."
