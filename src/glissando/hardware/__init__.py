@@ -1,1 +1,1 @@
-"""Drivers, simulated devices, and the capture of all of them together."""
+"""Device drivers, simulated devices, capture of a rig's readings, and live estimation."""

@@ -1,4 +1,4 @@
-"""A rig: tracker, slide and motion capture recorded together, real or simulated."""
+"""Simultaneous recording of a rig's tracker, slide and motion capture, real or simulated."""
 
 from glissando.hardware.capture.capture import capture, write_recording
 from glissando.hardware.capture.messages import Progress

@@ -1,8 +1,8 @@
 """One experiment: the slide follows its path while every device is recorded.
 
-Each device has a thread that writes its messages to the session log; the tracker has a process that
-polls it, too. The caller's thread drives the slide. Whatever ends the experiment – its end, an
-exception, Ctrl-C – stops the slide first. Its log becomes a recording in
+One thread per device writes its messages to the session log; a separate process polls the tracker.
+The caller's thread drives the slide. However the experiment ends – at the end of the path, by an
+exception or by Ctrl-C – the slide is stopped first. The log can be converted to a recording in
 the same folder.
 """
 
@@ -39,12 +39,12 @@ from glissando.io.session_recording import LOG, session_streams
 from glissando.model.slide_path import SlidePath
 
 _SETTLE = 0.5  # s before the slide moves, in which the tracker's clock converges
-_PATIENCE = 0.5  # s to wait for a device before looking whether the experiment is over
-_PATH_STEP = 0.01  # s at most between the points of a path given to the stage
+_PATIENCE = 0.5  # s to wait for a device before checking whether the experiment has ended
+_PATH_STEP = 0.01  # s, largest interval between the points of a path given to the stage
 
 
 OnProgress = Callable[[Progress], None]
-"""Called many times a second while the experiment runs."""
+"""Called many times a second during the experiment."""
 
 
 def capture(
@@ -57,23 +57,23 @@ def capture(
     on_progress: OnProgress | None = None,
     on_message: OnMessage | None = None,
 ) -> Progress:
-    """Run an experiment and log it; a crash costs at most the log's last second.
+    """Run an experiment and log it; a crash loses at most the last second of the log.
 
     Args:
         rig: The devices.
-        path: What the slide follows.
+        path: Path of the slide.
         folder: New folder for the log.
-        further: Paths of the rig's further stages by name; by default the same as the first.
-        steered: Where the slide is to be, m, at a time.monotonic(), s, decided on the way; then
-            the path states for how long only.
-        on_progress: Shows the progress, from the caller's thread.
-        on_message: Takes each message after it is logged, from the devices' threads.
+        further: Paths of the rig's further stages by name; `path` for stages without an entry.
+        steered: Function that returns the desired travel, m, at a time.monotonic(), s. If given,
+            the slide follows it, and `path` determines only the duration.
+        on_progress: Called with the progress from the caller's thread.
+        on_message: Called with each message after it is logged, from the devices' threads.
 
     Returns:
         The progress at the end.
 
     Raises:
-        DeviceError: A device failed. What came before is in the log, and the slide stands still.
+        DeviceError: A device failed. Earlier messages are in the log, and the slide is at rest.
     """
     try:
         folder.mkdir(parents=True, exist_ok=False)
@@ -96,7 +96,7 @@ def capture(
 def _recorded(
     rig: Rig, path: SlidePath, further: Mapping[str, SlidePath], log: MessageLog
 ) -> Iterator[list[BaseException]]:
-    """Threads record all but the first stage; what fails is raised at the end."""
+    """Record all devices but the first stage in threads; raise their first failure at the end."""
     over, failures = threading.Event(), list[BaseException]()
     with ExitStack() as stack:
         steps = _steps(rig, path, further, log, stack)
@@ -113,7 +113,7 @@ def _recorded(
 def _steps(
     rig: Rig, path: SlidePath, further: Mapping[str, SlidePath], log: MessageLog, stack: ExitStack
 ) -> list[Callable[[], None]]:
-    """What each device but the first stage does again and again; they are opened on the stack."""
+    """Open each device except the first stage on `stack`; functions that log its next message."""
     steps: list[Callable[[], None]] = []
     if rig.tracker is not None:
         tracker = stack.enter_context(opened_tracker(rig, rig.tracker))
@@ -139,7 +139,7 @@ def _repeat(step: Callable[[], None], over: threading.Event, failures: list[Base
 
 
 def _finish(over: threading.Event, threads: list[threading.Thread], driven: list[_Driven]) -> None:
-    """End what threads do, and the motion of a further stage that homes or goes to its start."""
+    """End the threads, and abort a further stage that still homes or moves to its start."""
     over.set()
     for one in driven:
         one.abort()
@@ -150,7 +150,7 @@ def _finish(over: threading.Event, threads: list[threading.Thread], driven: list
 def _experiment(
     rig: Rig, path: SlidePath, steered: Callable[[float], float] | None, log: MessageLog
 ) -> Generator[None, None, None]:
-    """Steps of the experiment: wait for clocks, home, follow the path."""
+    """Run the steps of the experiment: let clocks converge, home, follow the path."""
     progress = log.progress
     yield from _wait(_SETTLE)
     progress.began, progress.count = time.monotonic(), Counter()
@@ -168,7 +168,7 @@ def _experiment(
 def _motion(
     slide: LinearStage, path: SlidePath, steered: Callable[[float], float] | None
 ) -> Iterator[SlideReading]:
-    """Readings of a stage on a path, or where it is steered for as long."""
+    """Readings of a stage that follows a path, or the function `steered` for the same duration."""
     if steered is not None:
         begun = time.monotonic()
         return slide.pursue(lambda into: steered(begun + into), path.duration)
@@ -185,7 +185,7 @@ def _home(slide: LinearStage, standing: float | None) -> None:
 
 
 class _Driven:
-    """A further stage on its path: each call logs its next reading; it is opened by the first."""
+    """A further stage on its path: each call logs its next reading, and the first one opens it."""
 
     def __init__(self, one: FurtherStage, path: SlidePath, log: MessageLog) -> None:
         self._name, self._log, self._aborted = one.name, log, False
@@ -196,13 +196,13 @@ class _Driven:
         log_slide(next(self._readings), self._log, self._name)
 
     def abort(self) -> None:
-        """End a motion that its thread waits for, also one that begins only then."""
+        """End a motion that the stage's thread waits for, or prevent one that has not begun."""
         self._aborted = True
         if self._slide is not None:
             self._slide.abort()
 
     def close(self) -> None:
-        """Stand still."""
+        """Stop the stage and close it."""
         self._readings.close()
 
     def _follow(self, one: FurtherStage, path: SlidePath) -> Generator[SlideReading, None, None]:
@@ -225,18 +225,18 @@ def _wait(seconds: float) -> Iterator[None]:
 
 
 def write_recording(session: RawSession, rig: Rig, folder: Path) -> list[str]:
-    """Write the streams of a session as a recording.
+    """Write a session log as a recording.
 
     Args:
-        session: The log.
-        rig: The rig it was logged with.
-        folder: Where the recording goes.
+        session: The session log.
+        rig: The rig that was logged.
+        folder: Folder of the recording.
 
     Returns:
-        Sentences on bodies that were never seen, and on gaps.
+        Warnings about bodies that were never visible, and about gaps.
 
     Raises:
-        RecordingError: Nothing is left.
+        RecordingError: No stream has any readings.
     """
     recorded = session_streams(session, rig.described())
     with renewed_folder(folder, ()) as building:

@@ -1,4 +1,4 @@
-"""Processes beside the one that drives: its signals are not theirs, and they end with it."""
+"""Child processes: protected from signals to their parent, and ended with it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from multiprocessing import resource_tracker
 
 @contextmanager
 def blocked_signals() -> Iterator[None]:
-    """A process that starts here never sees Ctrl-C or a hang-up; its parent ends it."""
+    """Start processes inside this context that ignore Ctrl-C and hang-ups; the parent ends them."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
@@ -26,10 +26,10 @@ def blocked_signals() -> Iterator[None]:
 
 
 def end_with_parent(end: Callable[[], None] = lambda: os._exit(1)) -> None:
-    """Call a function of this process when its parent has died, however it died.
+    """Call a function in this process when its parent ends, even if it crashes.
 
     Args:
-        end: What is called, from a thread; by default this process ends at once.
+        end: Called from a thread; by default, this process ends at once.
     """
     parent = multiprocessing.parent_process()
     if parent is None:

@@ -1,4 +1,4 @@
-"""Readings of a rig's coils from its messages, where its slides were when they were read."""
+"""Readings of a rig's coils from its messages, at arclengths that follow the slides."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from glissando.model.slide_track import SlideMotion, SlideTrack
 
 
 class CoilFrames:
-    """Takes a rig's messages as they come, and gives readings of its coils.
+    """Converts a rig's messages into coil readings as they arrive.
 
     Args:
         rig: The rig.
-        robot: The robot, which states the noise and the loss of coils.
+        robot: The robot, which defines the noise and the loss of coils.
 
     Attributes:
-        counts: Coils 'not seen', and frames of sliding coils before their slide was read, or a
-            second after, which nobody can place ('no travel').
+        counts: Frames of coils 'not seen', and frames of sliding coils that have 'no travel',
+            before the first reading of their slide or more than a second after its newest one.
     """
 
     def __init__(self, rig: Rig, robot: Robot) -> None:
@@ -33,7 +33,7 @@ class CoilFrames:
         self._slides = {slide_topic(name): SlideTrack() for name in stages}
 
     def take(self, topic: str, message: dict[str, Any]) -> Iterator[CoilReadings]:
-        """The reading of a message, at its time.monotonic(), if it is of a coil that was seen."""
+        """Yield the coil reading of a message, if any, with its time.monotonic() as time."""
         if topic in self._slides:
             self._slides[topic].add(message["time"], message["travel"])
         elif topic in self._coils:

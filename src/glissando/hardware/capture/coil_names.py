@@ -1,4 +1,4 @@
-"""Which of the tracker's tools is which coil of the rig."""
+"""Assignment of the tracker's tools to the coils of a rig."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from glissando.hardware.drivers.aurora_setup import Tool
 
 
 def name_by_handle(tools: Sequence[Tool], coils: tuple[Coil, ...]) -> dict[int, str]:
-    """Names of the coils by their handles, first of those that state a serial number.
+    """Names of the coils by handle: first by serial number, then in the order of the tools.
 
     Args:
-        tools: What is plugged in.
-        coils: What the setup names.
+        tools: Coils that are plugged in.
+        coils: Coils of the setup file.
 
     Raises:
-        DeviceError: They do not match.
+        DeviceError: A coil of the setup has no tool.
     """
     handles = {tool.serial: tool.handle for tool in tools}
     free = [tool.handle for tool in tools]
@@ -41,16 +41,16 @@ def name_by_handle(tools: Sequence[Tool], coils: tuple[Coil, ...]) -> dict[int, 
 
 
 def name_by_identity(tools: Sequence[Tool], names: dict[int, str]) -> dict[str, str]:
-    """Names of the coils by serial number, where it is unique, and by place on the plugs.
+    """Names of the coils by serial number, where it is unique, and by position on the plugs.
 
-    A coil that is unplugged and comes back may have another handle, or not report its number.
+    A coil that is plugged in again may have another handle, or not report its serial number.
 
     Args:
-        tools: What is plugged in.
+        tools: Coils that are plugged in.
         names: Names by handle.
 
     Raises:
-        DeviceError: Two coils cannot be told apart.
+        DeviceError: Two coils cannot be distinguished.
     """
     named = [tool for tool in tools if tool.handle in names]
     serials, plugs = Counter(tool.serial for tool in tools), Counter(map(plug, tools))
@@ -65,7 +65,7 @@ def name_by_identity(tools: Sequence[Tool], names: dict[int, str]) -> dict[str, 
 
 
 def plug(tool: Tool) -> str:
-    """Where a tool is plugged in; its handle where it does not say."""
+    """Port and channel of a tool; its handle if it does not report them."""
     if not tool.port and not tool.channel:
         return f"handle {tool.handle:02X}"
     return f"port {tool.port}, channel {tool.channel}"

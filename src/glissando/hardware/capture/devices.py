@@ -1,4 +1,4 @@
-"""The drivers of a rig's devices, by their addresses and settings; none is entered yet."""
+"""Drivers for a rig's devices, chosen by their addresses and settings; not yet entered."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from glissando.hardware.ros2.ros2_tracker import Ros2Tracker
 
 
 def opened_tracker(rig: Rig, address: str) -> AbstractContextManager[Tracker]:
-    """The tracker at an address; an Aurora unless it is one of OpenIGTLink or ROS 2."""
+    """Driver of the tracker at an address: OpenIGTLink, ROS 2 or otherwise an Aurora."""
     names = [coil.serial or coil.name for coil in rig.coils]
     if address.startswith("igtl"):
         return IgtlTracker(address, names)
@@ -34,7 +34,7 @@ def opened_tracker(rig: Rig, address: str) -> AbstractContextManager[Tracker]:
 
 
 def opened_stage(address: str, stage: PositionStage) -> LinearStage:
-    """The driver for a stage with these settings."""
+    """Driver of the stage at an address, chosen by the type of its settings."""
     if isinstance(stage, GcodeStage):
         return GcodeSlide(address, stage)
     if isinstance(stage, RemoteStage):

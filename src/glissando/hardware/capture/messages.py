@@ -1,4 +1,4 @@
-"""What the session log holds of each device: a message for each reading or frame that came."""
+"""Messages of a session log: one for each reading or frame of a device."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from glissando.hardware.drivers import SlideReading, Tracker, ViconStream
 from glissando.io.session_log import INTEGER, NUMBER, SessionWriter, numbers, schema
 from glissando.model.table import pose_table
 
-_OFF = 1.0  # s by which a coil's first frame may be off its arrival
+_OFF = 1.0  # s by which the stamp of a coil's first frame may differ from its arrival
 _POSE = {"position": numbers(3), "quaternion": numbers(4)}
 _TRACKER = schema(
     "glissando.Coil", time=NUMBER, frame=INTEGER, **_POSE, error=NUMBER, status=INTEGER
@@ -30,10 +30,10 @@ class Progress:
     """State of a running experiment.
 
     Attributes:
-        began: When its messages are counted from, monotonic s.
+        began: Time from which messages are counted, monotonic s.
         count: Messages so far, by topic.
         last: The last message of each topic, as text.
-        problems: What went wrong, as text, by device.
+        problems: Description of each device's present problem or error counts.
         total: Duration of the slide's path, s.
     """
 
@@ -44,7 +44,7 @@ class Progress:
     total: float = 0.0
 
     def rate(self, topic: str) -> float:
-        """Messages a second since the beginning."""
+        """Mean number of messages a second since `began`."""
         return self.count[topic] / max(time.monotonic() - self.began, 1e-9)
 
 
@@ -59,7 +59,7 @@ class MessageLog:
     def write(
         self, topic: str, form: dict[str, Any], message: dict[str, Any], at: float, text: str
     ) -> None:
-        """Log a message that came `at` a monotonic time, s, and is shown as `text`."""
+        """Log a message that arrived at monotonic time `at`, s; `text` is its form for display."""
         if topic not in self.progress.last:
             self.writer.add_topic(topic, form)
         self.writer.write(topic, message, round(1e9 * at))
@@ -70,11 +70,11 @@ class MessageLog:
 
 
 def log_slide(reading: SlideReading, log: MessageLog, name: str) -> None:
-    """Log where a stage is.
+    """Log the travel and speed of a stage.
 
     Args:
         reading: The stage's reading, m and m/s.
-        log: Where to.
+        log: Receives the message.
         name: Name of the stage, empty for the rig's first.
     """
     text = f"{1e3 * reading.travel:.1f} mm, {1e3 * reading.speed:+.1f} mm/s"
@@ -86,16 +86,16 @@ def log_slide(reading: SlideReading, log: MessageLog, name: str) -> None:
 def log_tracker_frame(
     tracker: Tracker, names: dict[str, str], log: MessageLog, patience: float
 ) -> None:
-    """Log the next frame, if one comes; a gap in the log shows that none came.
+    """Log the next frame if one arrives in time; otherwise the log has a gap.
 
     Args:
         tracker: The tracker.
         names: Names of the coils by serial number or plug, see `name_by_identity`.
-        log: Where to.
-        patience: How long to wait for a frame, s.
+        log: Receives the messages.
+        patience: Seconds to wait for a frame.
 
     Raises:
-        DeviceError: The tracker failed, or a coil's first frame is not of now.
+        DeviceError: The tracker failed, or a coil's first frame is stamped far from its arrival.
     """
     frame = tracker.read(patience)
     if frame is None:
@@ -122,12 +122,12 @@ def log_tracker_frame(
 
 
 def log_mocap_frame(mocap: ViconStream, rig: Rig, log: MessageLog) -> None:
-    """Log the next frame; silence is noted but not fatal, for the robot needs no motion capture.
+    """Log the next frame; a timeout is not fatal, as the estimate does not need motion capture.
 
     Args:
         mocap: The motion capture.
         rig: The rig, which names the bodies to log.
-        log: Where to.
+        log: Receives the messages.
     """
     try:
         frame = mocap.read()
@@ -143,7 +143,7 @@ def log_mocap_frame(mocap: ViconStream, rig: Rig, log: MessageLog) -> None:
 
 
 def _shown(pose: Array | None) -> tuple[dict[str, Any], str]:
-    """A pose's entries of a message, and its position as text."""
+    """A pose as the entries of a message, and its position as text."""
     if pose is None:
         return {"position": None, "quaternion": None}, "not seen"
     return pose_table(pose), ", ".join(f"{1e3 * x:.1f}" for x in pose[:3, 3]) + " mm"

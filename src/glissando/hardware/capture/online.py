@@ -1,7 +1,7 @@
-"""The robot's shape shown while it is recorded, estimated in a process of its own.
+"""The robot's shape estimated and displayed during recording, in a separate process.
 
-A process and not a thread: an estimator in a thread would hold the interpreter for tens of
-milliseconds at a time, and a moving servo that hears nothing for long enough stops.
+An estimator in a thread would hold the interpreter lock for tens of milliseconds at a time, and a
+moving servo stops if it receives no command for too long.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from glissando.hardware.capture.setup import Rig
 from glissando.io.robot_file import load_robot
 from glissando.io.shipped_robots import robot_file
 
-_POINTS = 41  # along the robot that is shown
-_END = 10.0  # s that the process may take to end
+_POINTS = 41  # points along the robot that are displayed
+_END = 10.0  # s allowed for the process to end
 
 OnMessage = Callable[[str, dict[str, Any]], None]
-"""Called with topic and message after each is logged; it must not wait."""
+"""Called with topic and message after each is logged; it must not block."""
 
 
 class _HasAddress(Protocol):
@@ -47,19 +47,19 @@ def live_estimate(
     open_view: Callable[[Array], AbstractContextManager[View]],
     show: Callable[[View, FixedLagSmoother], None],
 ) -> Iterator[tuple[str, OnMessage]]:
-    """Estimate and show the robot's shape in another process while the context lasts.
+    """Estimate and display the robot's shape in another process while the context lasts.
 
     Args:
-        rig: The rig whose messages will come.
-        open_view: Opens a view of the robot at arclengths (N,) m. Importable by name, like `show`,
-            because the other process imports both.
-        show: Shows the newest state of a smoother in a view.
+        rig: The rig whose messages the callback receives.
+        open_view: Opens a view of the robot at arclengths (N,) m. Like `show`, it must be
+            importable by name, because the other process imports it.
+        show: Displays the newest state of a smoother in a view.
 
     Returns:
-        The address of the view, and the callback that takes the rig's messages.
+        The address of the view, and a callback that accepts the rig's messages.
 
     Raises:
-        GlissandoError: The view does not open, or the robot's file states no noise of coils.
+        GlissandoError: The view cannot be opened, or the robot file states no noise of coils.
     """
     robot = load_robot(robot_file(rig.robot))
     if "coil" not in robot.sensor_std:
@@ -87,7 +87,7 @@ def live_estimate(
 
 
 def _passed_on(process: BaseProcess, messages: Any) -> OnMessage:
-    """The callback that passes messages on, and says once that nobody takes them any more."""
+    """Callback that passes messages on, and prints one warning when the process has ended."""
     ended = threading.Event()
 
     def on_message(topic: str, message: dict[str, Any]) -> None:

@@ -1,7 +1,7 @@
-"""The tracker is read in a process of its own, where nothing delays the next request.
+"""A tracker that a separate process reads, so that nothing delays the next request.
 
-A thread would share the interpreter with the slide, the log and the progress table, and a frame
-that is not requested within its 25 ms is lost.
+A thread would share the interpreter lock with the slide, the log and the progress table, and a
+frame that is not requested within its 25 ms is lost.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from glissando.hardware.drivers.aurora_reply import Frame
 from glissando.hardware.drivers.aurora_setup import Tool
 from glissando.hardware.drivers.link import DeviceTimeoutError
 
-_PATIENCE = 0.5  # s without a frame after which the process looks whether anybody still reads
-_START, _END = 60.0, 5.0  # s the process may take to begin, beside the tracker's, and to end
+_PATIENCE = 0.5  # s without a frame after which the process checks whether the pipe is closed
+_START, _END = 60.0, 5.0  # s allowed for the process and its tracker to start, and to end
 
 
 class RemoteTracker:
-    """Frames of a tracker that another process reads.
+    """Frames of a tracker, received from the process that reads it.
 
     Times are of the monotonic clock, which all processes of a host share.
 
     Attributes:
-        tools: The coils that are plugged in now.
-        counts: How often something went wrong, by the name of the problem.
+        tools: Coils that are plugged in at present.
+        counts: Number of communication problems and frames, by name.
     """
 
     def __init__(self, pipe: Connection, tools: list[Tool]) -> None:
         self._pipe, self.tools, self.counts = pipe, tools, dict[str, int]()
 
     def read(self, timeout: float) -> Frame | None:
-        """The next frame, or None when none came in time.
+        """Wait for the next frame; None after a timeout.
 
         Args:
             timeout: Seconds to wait.
@@ -54,14 +54,14 @@ class RemoteTracker:
 
 @contextmanager
 def remote_tracker(address: str, baud: int) -> Iterator[RemoteTracker]:
-    """A tracker that a process of its own reads while the context lasts.
+    """Start a process that reads a tracker while the context lasts.
 
     Args:
         address: Serial path, or tcp://host:port.
         baud: Rate of a serial line.
 
     Raises:
-        DeviceError: As `Aurora` does, or because the process does not start.
+        DeviceError: As `Aurora` raises it, or the process does not start.
     """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()

@@ -1,4 +1,4 @@
-"""What a rig consists of: its devices, where they stand, and what is fixed to the robot where."""
+"""Description of a rig: its devices, their frames, and the coils and bodies on the robot."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ class Coil:
     """A coil of the tracker on the robot.
 
     Attributes:
-        name: Its name in the log and the recording.
-        arclength: Where it is at travel zero, m.
-        slides: Whether the slide's travel reduces its arclength.
-        serial: Serial number that identifies it; without one, coils are taken in plug order.
+        name: Name in the log and the recording.
+        arclength: Arclength when the travel is zero, m.
+        slides: Whether the slide moves the coil, so that the travel reduces its arclength.
+        serial: Serial number that identifies it; coils without one are assigned in plug order.
         arclength_std: Standard deviation of `arclength`, m.
-        slide: Name of the further stage that moves it; empty for the first.
-        channel: The channel beside the backbone that it slides in, if there is one, along which
-            its arclength is then measured.
+        slide: Name of the further stage that moves it; empty for the first stage.
+        channel: Channel beside the backbone in which it slides, along which its arclength is then
+            measured; None for a coil on the backbone.
     """
 
     name: str
@@ -51,34 +51,34 @@ class Coil:
 
     @property
     def slide_topic(self) -> str:
-        """The topic of the stage that moves it."""
+        """Topic of the stage that moves the coil."""
         return slide_topic(self.slide)
 
     def arclengths(self, travel: Array, length: float) -> Array:
-        """Arclengths (M,) m on a robot of some length, m, at travels (M,) m of the slide."""
+        """Arclengths (M,), m, at travels (M,) m of the slide, clipped to a robot of `length` m."""
         place = self.arclength - travel if self.slides else np.full(travel.shape, self.arclength)
         return np.clip(place, *ends_of(self.channel, length))
 
     def off(self, stroke: tuple[float, float], length: float) -> float:
-        """How far a stroke takes it off a robot of some length, m; zero or less if it does not."""
+        """Largest distance, m, beyond an end of a robot of `length` m on a stroke; ≤ 0 if none."""
         low, high = ends_of(self.channel, length)
         most = self.arclength - stroke[0] - high, low - self.arclength + stroke[1]
         return max(most) if self.slides else 0.0
 
     def described(self) -> dict[str, Any]:
-        """What a session log states about it, in JSON's types."""
+        """Description of the coil in a session log, in JSON's types."""
         out: dict[str, Any] = {"arclength": self.arclength, "arclength_std": self.arclength_std}
         out |= {"slides": self.slides, "slide": self.slide}
         return out | ({"channel": self.channel.to_table()} if self.channel else {})
 
 
 def slide_topic(name: str) -> str:
-    """The topic of a stage's readings in a session log; the first stage has no name."""
+    """Topic of a stage's readings in a session log; the first stage has an empty name."""
     return f"/slide/{name}" if name else "/slide"
 
 
 def _standing_travel(stage: PositionStage | None, standing: float | None) -> float:
-    """Travel at which a stage stands after homing, m; zero where there is none."""
+    """Travel of a stage at rest after homing, m; zero if there is no stage."""
     home = stage.home if stage and standing is None else standing
     low, high = stage.stroke if stage else (0.0, 0.0)
     return min(max(home or 0.0, low), high)
@@ -86,7 +86,7 @@ def _standing_travel(stage: PositionStage | None, standing: float | None) -> flo
 
 @dataclass(frozen=True)
 class FurtherStage:
-    """A stage beside the first: its name, address and settings, and where it stands at first."""
+    """A stage beside the first: name, address, settings, and travel when recording begins."""
 
     name: str
     address: str
@@ -95,15 +95,15 @@ class FurtherStage:
 
     @property
     def standing_travel(self) -> float:
-        """Travel at which it stands after homing, m."""
+        """Travel at rest after homing, m."""
         return _standing_travel(self.stage, self.standing)
 
 
 @dataclass(frozen=True)
 class Body:
-    """A motion-capture object at `arclength` m; `mount` is its pose there, T_bm.
+    """A motion-capture object at `arclength` m, with `mount` its pose T_bm in the cross-section.
 
-    One that `slides` is on the sliding tube and has neither.
+    An object that `slides` is on the sliding tube; its arclength is NaN and its mount is unused.
     """
 
     name: str
@@ -114,21 +114,21 @@ class Body:
 
 @dataclass(frozen=True)
 class Rig:
-    """The devices of an experiment; an address is None where there is no such device.
+    """The devices of an experiment; the address of an absent device is None.
 
     Attributes:
         name: Name of the rig.
         robot: Shipped robot, or path of a robot file.
-        tracker: Address of the Aurora, or of an OpenIGTLink peer, whose devices are the coils, or
-            of a ROS 2 graph, whose topics are.
+        tracker: Address of the Aurora, of an OpenIGTLink peer whose devices are the coils, or of a
+            ROS 2 graph whose topics are the coils.
         coils: The tracker's coils.
         slide: Serial path of the slide's servo or controller, or the address of its peer.
-        stage: What that moves.
-        standing: Travel in m when recording begins; None homes the slide at its stop.
+        stage: Settings of the stage at `slide`.
+        standing: Travel when recording begins, m; None to home the slide at its stop.
         mocap: UDP port of motion capture.
-        mocap_host: Address of this computer that listens for it.
+        mocap_host: Address of this computer on which motion capture is received.
         bodies: Objects of motion capture.
-        baud: Rate of the tracker's serial line.
+        baud: Baud rate of the tracker's serial line.
         frame: T_world,tracker (4, 4), as far as it is known.
         further: Stages beside the first, each with coils of its own.
     """
@@ -149,11 +149,11 @@ class Rig:
 
     @property
     def standing_travel(self) -> float:
-        """Travel at which the slide stands after homing, m."""
+        """Travel of the slide at rest after homing, m."""
         return _standing_travel(self.stage, self.standing)
 
     def described(self) -> dict[str, Any]:
-        """What a session log states about the rig, in JSON's types."""
+        """Description of the rig in a session log, in JSON's types."""
         sliding = next((c for c in self.coils if c.slides), None)
         shipped = self.robot in shipped_robots()
         robot = self.robot if shipped else str(Path(self.robot).resolve())
@@ -175,7 +175,7 @@ class Rig:
 
 
 def pose_of(entries: Mapping[str, Any]) -> Array:
-    """The pose (4, 4) of position (m) and quaternion [w, x, y, z], as a message has them."""
+    """Pose (4, 4) from the position (m) and quaternion [w, x, y, z] of a message."""
     rotation = se3.rotation_from_quaternion(np.array(entries["quaternion"]))
     return se3.pose(rotation, np.array(entries["position"]))
 
@@ -184,10 +184,10 @@ def load_rig(path: str | Path) -> Rig:
     """Read a setup file.
 
     Args:
-        path: TOML file, as docs/rig.md describes it.
+        path: TOML file in the format of docs/rig.md.
 
     Raises:
-        DeviceError: A key is missing, unknown or has a wrong value; the sentence names it.
+        DeviceError: A key is missing or unknown, or its value is invalid.
     """
     path = Path(path)
     table = read_toml(path, DeviceError)
@@ -222,7 +222,7 @@ def load_rig(path: str | Path) -> Rig:
 def _require_moved(
     where: str, coil: Coil, stages: Mapping[str, PositionStage | None], length: float
 ) -> None:
-    """Raise DeviceError for a coil that no stage moves, or one moves off the robot."""
+    """Raise DeviceError for a coil of an unknown stage, or one that a stage moves off the robot."""
     if coil.slide not in stages:
         raise DeviceError(
             f"{where}: coil {coil.name} is moved by {coil.slide!r}; name one of [[slides]]."
@@ -236,7 +236,7 @@ def _require_moved(
 
 
 def _require_apart(where: str, what: str, names: list[str]) -> None:
-    """Raise DeviceError for two of one name, whose messages would be mixed."""
+    """Raise DeviceError for a repeated name, as messages of both would be mixed."""
     if again := [name for name, count in Counter(names).items() if count > 1]:
         raise DeviceError(f"{where}: two {what} are {again[0]!r}; give each its own.")
 
@@ -292,7 +292,7 @@ def _slide(table: Table) -> dict[str, Any]:
 
 
 def is_remote(address: str) -> bool:
-    """Whether an address is one of OpenIGTLink or of ROS 2."""
+    """Whether an address is of OpenIGTLink or ROS 2."""
     return address.startswith("igtl") or address.partition("?")[0] == "ros2"
 
 
@@ -307,7 +307,7 @@ def _body(table: Table, length: float) -> Body:
 
 
 def _pose(table: Table, most: float) -> Array:
-    """A pose (4, 4) whose position is `most` m off along any axis at most."""
+    """Read a pose (4, 4), and check that each coordinate of its position is at most `most` m."""
     pose = table.pose()
     if np.abs(pose[:3, 3]).max() > most:
         raise table.fail(

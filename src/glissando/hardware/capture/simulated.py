@@ -1,4 +1,4 @@
-"""All devices of a rig simulated, each in a process of its own, on one robot and one slide."""
+"""A simulated rig: each device is a process, and all share one robot and one slide."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from glissando.model.tendons.channel import Channel
 from glissando.simulation import Tendon, load_bench
 from glissando.simulation.channel import straight_length
 
-_LEAD = 0.0254  # m a revolution
-_TRIES = 5  # to start a device on a port that is free
-_BEYOND = 2e-3  # m from the stroke to the hard stops
-_BEHIND = 0.1  # m from the base to the body on the sliding tube
-_SCENE_RATE = 20.0  # Hz at which the devices are given a moving robot's shapes
+_LEAD = 0.0254  # m per revolution
+_TRIES = 5  # attempts to start a device on a free port
+_BEYOND = 2e-3  # m from the ends of the stroke to the hard stops
+_BEHIND = 0.1  # m from the base back to the body on the sliding tube
+_SCENE_RATE = 20.0  # Hz at which the shapes of a moving robot are sampled for the devices
 
 
 @contextmanager
@@ -37,17 +37,17 @@ def simulated_rig(
     faults: str = "",
     channel: Channel | None = None,
 ) -> Iterator[Rig]:
-    """A rig whose devices are simulated while the context lasts.
+    """A rig of simulated devices that run while the context lasts.
 
     Args:
-        robot: Shipped robot or robot file; its [physics] state the physics, tracker and stage.
-        shape: Name or file of the robot's shape, which may move.
-        seed: Of the noise.
-        faults: Of the tracker, 'name=number,…', as its --help lists them.
-        channel: The channel beside the backbone that the coil slides in; on it unless given.
+        robot: Shipped robot or robot file; its [physics] defines the physics, tracker and stage.
+        shape: Name or file of the robot's shape, which may be a motion.
+        seed: Seed of the noise.
+        faults: Faults of the tracker, 'name=number,…', as its --help lists them.
+        channel: Channel beside the backbone in which the coil slides; None for the backbone itself.
 
     Raises:
-        SimulationError: Robot, shape or fault does not exist.
+        SimulationError: The robot, the shape or a fault does not exist.
     """
     bench = load_bench(robot_file(robot))
     motion = bench.move(bench.shape(shape), bench.flaws, seed)
@@ -91,9 +91,9 @@ def simulated_rig(
 
 
 def _hearing(stack: ExitStack, name: str, *options: str) -> tuple[str, int]:
-    """A device that hears of the slide's travel: its address, and the UDP port where it does.
+    """Start a device that receives the slide's travel; its address, and the UDP port of the travel.
 
-    Another program may take a port between its choice and the device's start.
+    Another program may take the port before the device opens it; then another port is tried.
     """
     for left in reversed(range(_TRIES)):
         port = _free_port()

@@ -1,4 +1,4 @@
-"""Sources and sinks by the texts that name them on a command line."""
+"""Sources and sinks constructed from the addresses given on a command line."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ SINKS = "igtl-server://:PORT, igtl://HOST:PORT, ros2, or csv:FILE"
 
 
 def source_of(text: str, robot: Robot, placements: Sequence[Placement] = ()) -> Source:
-    """The source that a text names.
+    """Construct the source at an address.
 
     Args:
-        text: One of `SOURCES`.
+        text: Address, in a form that `SOURCES` lists.
         robot: The robot.
-        placements: Where devices sit that report themselves by name.
+        placements: Positions on the robot of devices that a peer identifies by name.
 
     Raises:
-        GlissandoError: It names none.
+        GlissandoError: The address has none of these forms.
     """
     require_source(text)
     if text.startswith("igtl"):
@@ -39,14 +39,14 @@ def source_of(text: str, robot: Robot, placements: Sequence[Placement] = ()) -> 
 
 
 def require_source(text: str) -> None:
-    """Raise GlissandoError unless a text names a source, one of `SOURCES`."""
+    """Raise GlissandoError unless a text has a form that `SOURCES` lists."""
     named = text.startswith("igtl") or text.partition("?")[0] == "ros2" or Path(text).is_dir()
     if not named:
         raise GlissandoError(f"There is no source {text!r}; give {SOURCES}.")
 
 
 def sink_of(text: str) -> Sink:
-    """The sink that a text names, one of `SINKS`. Raises GlissandoError."""
+    """Construct the sink at an address, in a form that `SINKS` lists. Raises GlissandoError."""
     if text.startswith("igtl"):
         return IgtlSink(text)
     if text.partition("?")[0] == "ros2":

@@ -1,17 +1,17 @@
-"""Updates as OpenIGTLink messages: what 3D Slicer, PLUS and MATLAB's toolboxes show at once.
+"""Updates as OpenIGTLink messages, which 3D Slicer, PLUS and MATLAB's toolboxes display.
 
 | device | type | |
 |---|---|---|
 | Robot | TDATA | all frames in one message, tools of six degrees of freedom named by arclength |
-| Tip | TRANSFORM | the last frame |
+| Tip | TRANSFORM | pose of the last frame |
 | Centreline | POLYDATA | a polyline with the attribute `sigma` |
-| Tube95 | POLYDATA | the surface inside which the robot lies with 95 %, with `sigma` |
-| Ellipsoids95 | POLYDATA | an ellipsoid of 95 % about each frame |
-| Points | POINT | ten times a second: sensors as they were measured last, and forces |
-| Estimate | STATUS, STRING | once a second: well or not, and figures as JSON |
-| (stream) | NDARRAY | values of readings, exactly, for another glissando |
+| Tube95 | POLYDATA | the surface that contains the robot with 95 % probability, with `sigma` |
+| Ellipsoids95 | POLYDATA | an ellipsoid of 95 % probability about each frame |
+| Points | POINT | ten times a second: latest measured sensor positions, and forces |
+| Estimate | STATUS, STRING | once a second: state of the estimator, and figures as JSON |
+| (stream) | NDARRAY | readings in double precision, for another instance of glissando |
 
-`sigma` is the root of the total position variance in the wire's unit of length.
+`sigma` is the square root of the total position variance in the unit of length of the connection.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ class IgtlSink(EndpointUser):
     """Sends updates to every peer of an endpoint.
 
     Args:
-        address: As `Endpoint` takes it; `send=` in it chooses what is sent.
+        address: Address as `Endpoint` takes it; its option `send=` selects what is sent.
 
     Attributes:
-        counts: What happened to the peers, and updates of streams 'not sent' because they have a
-            mount, a channel or settings, which another glissando would not learn of.
+        counts: Events of the connection by name, and updates of streams that were 'not sent'
+            because their mount, channel or settings cannot be transmitted.
 
     Raises:
-        DeviceError: The address is wrong.
+        DeviceError: The address is invalid.
     """
 
     def __init__(self, address: str) -> None:
@@ -68,16 +68,16 @@ class IgtlSink(EndpointUser):
 
     @property
     def problem(self) -> str:
-        """Why nobody gets updates; empty where it is we who listen: viewers come and go."""
+        """Reason why no peer receives updates; always empty where the sink listens for peers."""
         calling = not self._endpoint.address.listens and not self._endpoint.peers
         return f"nobody answers at {self.name}" if calling else ""
 
     def poll(self) -> None:
-        """Look who is there."""
+        """Process new and closed connections, and incoming messages."""
         self._endpoint.receive()
 
     def send(self, update: Update) -> None:
-        """Hand an update over to the process that speaks with peers."""
+        """Pass an update to the process that communicates with the peers."""
         for readings in update.readings:
             if readings.values.shape[1:] == (4, 4):
                 self._measured[readings.label] = readings.values[-1, :3, 3]
@@ -123,7 +123,7 @@ class IgtlSink(EndpointUser):
             yield "Estimate", c.Text(json.dumps(_figures(update)))
 
     def _points(self, update: Update) -> Iterator[c.Point]:
-        """Sensors by their streams' names, and forces by their size."""
+        """Latest sensor positions, named by stream, and loads, named by their magnitude."""
         for label, place in self._measured.items():
             yield c.Point(within(label, 64), self._frame.points_out(place), group="sensors")
         if (loads := update.loads()) is not None:
@@ -133,7 +133,7 @@ class IgtlSink(EndpointUser):
                 yield c.Point(text, self._frame.points_out(place), group="loads")
 
     def _mesh(self, groups: Array, faces: Index, sigma: Array) -> PolyData:
-        """Triangles between groups (G, A, 3) of points that share a sigma (G,)."""
+        """Mesh of G groups (G, A, 3) of points that each have one sigma (G,)."""
         each = np.repeat(sigma, groups.shape[1])
         points = self._frame.points_out(groups.reshape(-1, 3))
         return PolyData(points, polygons=faces, attributes=_sigma(each))
@@ -152,7 +152,7 @@ class IgtlSink(EndpointUser):
 
 @lru_cache(maxsize=4096)
 def frame_name(arclength: float) -> str:
-    """The name of the frame at an arclength in m.
+    """Name of the frame at an arclength in m.
 
     >>> frame_name(0.2335)
     's233.5mm'
@@ -161,14 +161,15 @@ def frame_name(arclength: float) -> str:
 
 
 def readings_message(readings: Readings, stamp: int, time: float | None = None) -> Message:
-    """Readings as one NDARRAY of float64, SI units: time, arclength, and the kind's columns.
+    """Readings as one NDARRAY of float64 in SI units: time, arclength, and the kind's columns.
 
-    The metadata state what a device's name of 20 letters and a stamp cannot.
+    The metadata hold the stream's full name, its kind and the time of the stamp in seconds.
 
     Args:
-        readings: The readings.
-        stamp: Of the message.
-        time: The stamp in the time of the readings, s; without it the last is taken to be of then.
+        readings: Readings of one stream.
+        stamp: Stamp of the message.
+        time: Time of the stamp, s, on the clock of the readings; if None, the receiver assumes that
+            the stamp is the time of the last reading.
     """
     metadata = {"kind": readings.kind, "name": readings.label}
     if time is not None:
@@ -179,13 +180,13 @@ def readings_message(readings: Readings, stamp: int, time: float | None = None) 
 
 
 def _is_whole(readings: Readings) -> bool:
-    """Whether time, arclength and values say all that a residual needs of readings."""
+    """Whether a table of time, arclength and values represents readings completely."""
     placed = readings.channel is not None or np.any(readings.mount != np.eye(4))
     return not (placed or readings.settings)
 
 
 def within(text: str, size: int) -> str:
-    """As much of a text as fits into a field of so many bytes."""
+    """Longest beginning of a text that fits into a field of `size` bytes in UTF-8."""
     return text.encode()[:size].decode(errors="ignore")
 
 
@@ -194,7 +195,7 @@ def _sigma(sigma: Array) -> tuple[Attribute, ...]:
 
 
 def _status(update: Update) -> c.Status:
-    """Code 1 is well, 10 a configuration that does not fit, 13 not ready."""
+    """Status code 1 for normal operation, 10 for a poor fit, 13 for missing readings or peers."""
     if update.problems:
         return c.Status(13, "; ".join(update.problems), "SILENT")
     if not update.smoother.fits:
@@ -225,13 +226,13 @@ def _figures(update: Update) -> dict[str, object]:
 
 
 def _definite(cov: Array) -> Array:
-    """Covariances (…, 3, 3) whose rounding leaves them a Cholesky factor."""
+    """Covariances (…, 3, 3) with a small diagonal term that ensures a Cholesky factor."""
     least = 1e-12 * np.einsum("...ii->...", cov) + 1e-24
     return cov + least[..., None, None] * np.eye(3)
 
 
 def _unit_sphere() -> tuple[Array, Index]:
-    """Eighteen points of a sphere and the triangles between them, seen from outside."""
+    """Eighteen points on the unit sphere, and triangles between them with outward normals."""
     grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), -1).reshape(-1, 3)
     some = grid[np.isin(np.abs(grid).sum(axis=1), (1.0, 2.0))]
     points = some / np.linalg.norm(some, axis=1)[:, None]

@@ -1,4 +1,4 @@
-"""Readings that an OpenIGTLink peer sends: PLUS, a tracker, another glissando."""
+"""Readings from an OpenIGTLink peer: PLUS, a tracker, or another instance of glissando."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ _MOST = 64  # streams: a journal keeps a file open for each
 
 
 class IgtlSource(EndpointUser):
-    """Readings from TRANSFORM, POSITION and TDATA, travel from SENSOR, rows from NDARRAY.
+    """Readings of TRANSFORM, POSITION, TDATA and NDARRAY; the slide's travel of SENSOR messages.
 
     Args:
-        address: As `Endpoint` takes it.
-        robot: The robot, which states the noise of each kind of sensor.
-        placements: Where devices sit; others are counted and left out.
+        address: Address as `Endpoint` takes it.
+        robot: The robot, which defines the noise of each kind of sensor.
+        placements: Positions of the devices on the robot; poses of other devices are dropped.
 
     Attributes:
-        counts: Messages 'heard'; those left out, and why: 'unplaced' devices, 'invalid' values,
-            'repeated' poses, of sliding devices while no travel was known ('no travel'); and what
-            the endpoint counts.
-        status: The last STATUS that was not good, as a text.
+        counts: Messages 'heard'; values dropped, by reason: 'unplaced' devices, 'invalid' values,
+            'repeated' poses, and 'no travel' for sliding devices while the travel is unknown; and
+            the events that the endpoint counts.
+        status: Text of the latest STATUS message with a code other than 1; empty after a code 1.
 
     Raises:
-        DeviceError: An address or a placement is wrong.
+        DeviceError: The address or a placement is invalid.
     """
 
     first: float | None = None
@@ -70,7 +70,7 @@ class IgtlSource(EndpointUser):
 
     @property
     def problem(self) -> str:
-        """Why nothing comes; empty while messages do."""
+        """Reason why no readings arrive; empty while they do."""
         if not self._endpoint.peers:
             if self.counts["refused"]:
                 return f"what was sent at {self.name} is not OpenIGTLink, so its peer was let go"
@@ -90,13 +90,13 @@ class IgtlSource(EndpointUser):
         return f"{self.name} {'sends no more' if ended else 'has sent no'} {TRAVEL} of the slide"
 
     def poll(self) -> None:
-        """Take what has come out of the link, as `read` does, which then reads it."""
+        """Receive the messages that have arrived; `read` converts them later."""
         came = self._endpoint.receive_all()
         self._own["heard"] += len(came)
         self._waiting += came
 
     def read(self, clock: SessionClock) -> list[Readings]:
-        """The readings that have come since the last call."""
+        """Readings that have arrived since the last call."""
         self.poll()
         out: list[Readings] = []
         waiting, self._waiting = self._waiting, []
@@ -108,7 +108,7 @@ class IgtlSource(EndpointUser):
 
     @contextmanager
     def _counted(self) -> Iterator[None]:
-        """Count what a peer sent that cannot be, and go on."""
+        """Count an invalid value as such, and continue with the next one."""
         try:
             yield
         except RobotFileError:
@@ -152,14 +152,14 @@ class IgtlSource(EndpointUser):
         return float(travel[0])
 
     def _is_new(self, name: str, value: Array) -> bool:
-        """Whether a pose is another than the last; a server repeats it between measurements."""
+        """Whether a pose differs from the last; servers repeat it between measurements."""
         known, self._last[name] = self._last.get(name), value.tobytes()
         repeated = known == self._last[name]
         self._own["repeated"] += repeated
         return not repeated
 
     def _require_kind(self, name: str, kind: str) -> None:
-        """Raise DeviceError for another kind than a device sent before: a stream is of one kind."""
+        """Raise DeviceError if a device changes its kind: a stream has readings of one kind."""
         if name not in self._kinds and len(self._kinds) >= _MOST:
             raise DeviceError(f"{name} is one of more than {_MOST} streams; send fewer.")
         if (first := self._kinds.setdefault(name, kind)) != kind:
@@ -177,7 +177,7 @@ class IgtlSource(EndpointUser):
         return reading(self._robot, place, kind, place.name, time, value, self._slide)
 
     def _rows(self, message: Message, arrival: float, clock: SessionClock) -> Readings:
-        """Readings of a glissando's own sink, times and values as float64."""
+        """Readings sent by an `IgtlSink`, with times and values as float64."""
         assert isinstance(message.content, c.NumberArray)
         kind, table = message.metadata.get("kind", ""), np.asarray(message.content.values, float)
         sensor = SENSORS.get(kind)
@@ -215,7 +215,7 @@ class IgtlSource(EndpointUser):
 
 
 def _time_of_stamp(message: Message, last: float) -> float:
-    """The stamp in the time of a message's rows, s; that of the last where it does not say."""
+    """Time of the stamp on the clock of the rows, s; `last` if the message does not contain it."""
     try:
         time = float(message.metadata.get("time", last))
     except ValueError:

@@ -1,4 +1,4 @@
-"""Where on the robot a device sits that reports itself by name alone."""
+"""Position on the robot of a device that a peer identifies only by name."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ _KINDS = ("pose", "coil", "position", "gyro")
 
 
 class NoTravelError(DeviceError):
-    """A device slides, and nobody stated the slide's travel of then."""
+    """The travel of the slide that moves a device is unknown at the time of a reading."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """A device on the robot.
+    """Position of a device on the robot.
 
     Attributes:
-        name: Name under which it reports.
-        arclength: Where it sits at travel zero, m.
-        kind: Kind of sensor; empty to take it from the message: a TDATA tool of five degrees of
-            freedom is a coil, of three a position, everything else with an orientation a pose.
-        slides: Whether the slide's travel reduces its arclength.
+        name: Name of the device in messages.
+        arclength: Arclength at which it sits when the travel is zero, m.
+        kind: Kind of sensor. If empty, it follows from the message: a TDATA tool of five degrees of
+            freedom is a coil, of three a position, and any other value with an orientation a pose.
+        slides: Whether the slide moves the device, so that the travel reduces its arclength.
     """
 
     name: str
@@ -40,10 +40,10 @@ class Placement:
 
     @classmethod
     def parse(cls, text: str) -> Placement:
-        """The placement of a text NAME=METRES, then :pose, :coil, :position or :gyro, and :slides.
+        """Parse NAME=METRES, followed by :pose, :coil, :position or :gyro, and :slides.
 
         Raises:
-            DeviceError: The text is none.
+            DeviceError: The text does not have this form.
 
         >>> Placement.parse("Tip=0.466:coil")
         Placement(name='Tip', arclength=0.466, kind='coil', slides=False)
@@ -64,10 +64,10 @@ class Placement:
 
 
 def require_on_robot(placements: Sequence[Placement], robot: Robot) -> None:
-    """Check that every device sits on the robot and is named once.
+    """Check that every device lies on the robot and that the names are unique.
 
     Raises:
-        DeviceError: One does not, or two have one name.
+        DeviceError: A device lies off the robot, or two have the same name.
     """
     for place in placements:
         if not 0.0 <= place.arclength <= robot.length:
@@ -89,20 +89,20 @@ def reading(
     value: Array,
     slide: SlideTrack,
 ) -> Readings:
-    """One reading with the noise that the robot file states for its kind.
+    """A single reading with the noise that the robot file states for its kind.
 
     Args:
         robot: The robot.
-        place: Where the device sits.
+        place: Position of the device on the robot.
         kind: Kind of sensor.
         name: Name of the stream.
         time: Session time, s.
-        value: Its value, as the kind's readings take them.
-        slide: The slide, which moves the device if it slides.
+        value: Value of one reading of this kind.
+        slide: Travel of the slide over time, used if the device slides.
 
     Raises:
-        RobotFileError: The robot file states no noise of such a sensor.
-        NoTravelError: The device slides, and no travel was known at that time, see `SlideTrack`.
+        RobotFileError: The robot file states no noise for this kind of sensor.
+        NoTravelError: The device slides, and the travel at that time is unknown; see `SlideTrack`.
     """
     motion = slide.at(time) if place.slides else SlideMotion(0.0)
     if motion is None:
@@ -115,18 +115,18 @@ def reading(
 def batch(
     robot: Robot, kind: str, name: str, time: Array, arclength: Array, values: Array
 ) -> Readings:
-    """Readings (M,) with the noise that the robot file states for their kind.
+    """A batch of M readings with the noise that the robot file states for their kind.
 
     Args:
         robot: The robot.
         kind: Kind of sensor.
         name: Name of the stream.
         time: Session times (M,), s.
-        arclength: Where they were taken (M,), m.
-        values: Values (M, …), as the kind's readings take them.
+        arclength: Arclengths (M,) of the readings, m.
+        values: Values (M, …), as readings of this kind take them.
 
     Raises:
-        RobotFileError: The robot file states no noise of such a sensor.
+        RobotFileError: The robot file states no noise for this kind of sensor.
     """
     std = robot.sensor_std.get(kind)
     if std is None:

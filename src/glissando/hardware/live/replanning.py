@@ -1,4 +1,4 @@
-"""The slide of a rig planned again and again while a session estimates."""
+"""Repeated planning of a rig's slide during a live session."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ from glissando.planning.replan import Replanner
 from glissando.planning.sliding_sensor import sliding_sensor
 from glissando.planning.zones import Zone
 
-_SETTLED = 0.3  # s ahead for which the path is with the stage and cannot change any more
-_LEAD = 0.7  # s that a plan may take at first
-_FIRST = 2  # updates without a plan: a belief of one reading leaves directions undetermined
-_NODE_STEP = 0.5  # s between the nodes of a plan
+_SETTLED = 0.3  # s from now within which the path is already at the stage and cannot be changed
+_LEAD = 0.7  # s that the computation of the first plan may take
+_FIRST = 2  # updates without a plan: a posterior of one reading leaves directions undetermined
+_NODE_STEP = 0.5  # s between the time nodes of a plan
 _STEP = 0.02  # s between the points of a path that is sent to the stage
-_RATE = 40.0  # readings a second that a tracker gives
-_SPEED = 0.95  # of the stage's speed and acceleration that plans use, so that it can catch up
+_RATE = 40.0  # readings a second of the tracker
+_SPEED = 0.95  # fraction of the stage's limits that plans use, so that the stage can catch up
 
 
 class Replanning:
-    """A sink that plans a rig's slide after each update so that zones are known best.
+    """A sink that replans a rig's slide after each update to minimise uncertainty in zones.
 
-    Plans are computed by a process beside the session. The stage follows each plan until the next
-    has come, and stands at its end if none does. The first coil that the stage moves is planned.
+    A separate process computes the plans. The stage follows each plan until the next one is ready,
+    and stops at its end if none is. The path is planned for the first coil that the stage moves.
 
     Args:
-        source: The rig, which follows `source.steer`.
-        rig: Its devices.
+        source: Source that reads the rig, with `steered=True`.
+        rig: The devices of the rig.
         robot: The robot.
-        zones: What is to be known when, in session time.
-        horizon: Seconds that each plan looks ahead.
+        zones: Zones of arclength, and their session times, in which uncertainty is to be small.
+        horizon: Duration of each plan, s.
 
     Attributes:
-        replanner: The plans that were adopted, and where the coil is to be when.
+        replanner: The current plan and the arclength of the coil over time.
 
     Raises:
         DeviceError: The rig has no stage, no coil slides, or a zone lies off the robot.
@@ -94,10 +94,10 @@ class Replanning:
         self._planner.__exit__()
 
     def poll(self) -> None:
-        """Plans are looked for with each update."""
+        """Do nothing: `send` checks for new plans."""
 
     def send(self, update: Update) -> None:
-        """Have the next plan computed, and the stage follow one that is ready."""
+        """Request the next plan, and send a completed one to the stage."""
         if update.number < _FIRST:
             return
         now, last = update.ready, self.replanner.plan

@@ -1,7 +1,7 @@
-"""The devices of a rig, real or simulated, while its slide follows a path.
+"""Readings of a rig's real or simulated devices while its slide follows a path.
 
-The rig is read by a process of its own, as `record` reads it, with the same session log: an
-estimator beside it would hold the interpreter while a frame or the slide waits.
+A separate process reads the rig, as `record` does, and writes the same session log: an estimator
+in the same process would hold the interpreter lock and delay frames and commands to the slide.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 from glissando.model.slide_path import SlidePath
 
-_END = 15.0  # s that the slide may take to stop and the log to be written
-_LAST = 2.0  # s that a process which did not end in this time may take to end at once
-_LOOK = 0.1  # s between looks whether it has
-_MOST = 1024  # messages that one look takes
-_WANTED = re.compile("/(tracker|slide)").match  # of topics
+_END = 15.0  # s allowed for the slide to stop and the log to be written
+_LAST = 2.0  # s allowed for the process to end after SIGTERM, before it is killed
+_LOOK = 0.1  # s between checks whether the process has ended
+_MOST = 1024  # messages per call of `read`
+_WANTED = re.compile("/(tracker|slide)").match  # topics from which readings are made
 
 
 class RigSource:
-    """Readings of a rig's coils, whose arclengths follow the slide.
+    """Readings of a rig's coils, at arclengths that follow the slide.
 
     Args:
         rig: The devices.
-        robot: The robot, which states the noise of coils.
-        path: What the slide follows from the beginning; the source finishes at its end.
-        folder: New folder for the session log; a temporary one unless given.
+        robot: The robot, which defines the noise of coils.
+        path: Path of the slide from the start; the source finishes at its end.
+        folder: New folder for the session log; a temporary one if None.
         further: Paths of the rig's further stages by name.
-        steered: Whether the slide goes where `steer` says, for as long as the path lasts.
+        steered: Whether the slide follows the paths given to `steer`, for the duration of `path`.
 
     Attributes:
         counts: Messages 'heard', and what `CoilFrames` counts.
 
     Raises:
-        DeviceError: A device failed; from `read`.
+        DeviceError: A device failed; raised by `read`.
     """
 
     first: float | None = None
@@ -108,16 +108,16 @@ class RigSource:
         self._stack.close()
 
     def steer(self, time: Array, travel: Array) -> None:
-        """Have the slide follow another path from now on; at its end it stands.
+        """Replace the path of the slide, which stops at the end of the new one.
 
         Args:
-            time: Session times (K,), s, from before now on.
-            travel: Travels (K,) at these times, m, which go on from where the slide is.
+            time: Session times (K,), s; the first is before the present.
+            travel: Travels (K,) at these times, m, continuous with the present travel.
         """
         self._steering.put((time - self._times.of_monotonic(0.0), travel))
 
     def _drain(self, within: float) -> None:
-        """Empty the queue until its end, without which the process does not end."""
+        """Empty the queue up to its end mark; the process cannot end while the queue is full."""
         end = time.monotonic() + within
         while not self.finished and time.monotonic() < end:
             alive = self._process.is_alive()
@@ -129,7 +129,7 @@ class RigSource:
 
     @property
     def problem(self) -> str:
-        """Why nothing comes; empty once messages have, of every stage as well."""
+        """Reason why no readings arrive; empty once messages of every stage have arrived."""
         if self.finished:
             return ""
         if not self.counts["heard"]:
@@ -138,14 +138,14 @@ class RigSource:
 
     @property
     def busy(self) -> bool:
-        """Whether a stage homes, or goes to where its path begins, for as long as that may take."""
+        """Whether a stage homes or moves to the start of its path, which may take long."""
         return bool(self._homing) and not self.finished
 
     def poll(self) -> None:
-        """Messages wait in a queue without an end."""
+        """Do nothing: the queue has no size limit."""
 
     def read(self, clock: SessionClock) -> list[Readings]:
-        """The readings that have come since the last call."""
+        """Readings that have arrived since the last call."""
         self._times = clock
         out: list[Readings] = []
         alive = self._process.is_alive()
@@ -181,7 +181,7 @@ def _capture(
     messages: Any,
     steering: Any,
 ) -> None:
-    """Run the experiment, pass on its messages, and then how it ended."""
+    """Run the capture, put its messages into the queue, and at the end its error, if any."""
     end: DeviceError | None = None
     signal.signal(signal.SIGTERM, signal.default_int_handler)
 
@@ -213,7 +213,7 @@ def _capture(
 
 
 class _Steered:
-    """Where the slide is to be by the newest path that came; before the first, where it stands."""
+    """Travel along the newest path received; before the first one, the standing travel."""
 
     def __init__(self, paths: Any, standing: float) -> None:
         self._paths = paths

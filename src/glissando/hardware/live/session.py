@@ -1,4 +1,4 @@
-"""A live estimate: sensors in, the newest shape with its confidence out, at a steady rate."""
+"""Live estimation: readings in, and at a steady rate the current shape with its covariance out."""
 
 from __future__ import annotations
 
@@ -23,42 +23,42 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import PoseReadings
 
-_LOOK = 0.005  # s between looks for the first reading
-_POLL = 0.02  # s between looks at what has come, while an update is waited for
-_OFF = 1.0  # s by which a source's newest reading may be off this computer's clock
-_AHEAD = 0.05  # s by which it may be ahead of it, and still be of now
+_LOOK = 0.005  # s between checks for the first reading
+_POLL = 0.02  # s between polls of the sources while an update is awaited
+_OFF = 1.0  # s by which a source's newest reading may deviate from this computer's clock
+_AHEAD = 0.05  # s by which a reading may be ahead of the clock and still count as current
 _MOST_NODES = 1000
-_NODES = 4  # in the smoother's window by default
+_NODES = 4  # time nodes in the smoother's window by default
 
 
 class LiveSession:
-    """An estimate that runs while the context lasts; iterate over its updates.
+    """A live estimate, used as a context manager and iterated for its updates.
 
     The first update is at the time of the earliest reading; the others follow at `rate`. Every
-    reading is written to the journal before it is used. Where the machine is too slow, updates are
-    left out and counted, so that the shape is always of now.
+    reading is written to the journal before it is used. If the machine is too slow, updates are
+    skipped and counted, so that the latency does not grow.
 
     Args:
         robot: The robot with its prior, grid and sensor parameters.
-        sources: Where readings come from.
-        sinks: Where updates go.
-        rate: Updates a second; the robot's rate of time nodes unless given.
-        lag: Length of the smoother's window, s; four time nodes unless given, 0 for a filter.
-        delay: Seconds that an update waits for readings of its time; those that come later are
-            used by the next update.
-        points: Points along the robot at which the shape is given.
-        journal: New folder to which readings are written, a recording; None writes none.
-        duration: Seconds after which the session ends; None for when all sources have.
-        patience: Seconds without a reading of now before the session ends with an error, beside
-            those in which a source was `busy`.
-        clock: Session time; that of a source which has one, unless given.
+        sources: Sources of readings.
+        sinks: Receivers of the updates.
+        rate: Updates a second; the robot's `time_rate` if None.
+        lag: Length of the smoother's window, s; four time nodes if None, a filter if 0.
+        delay: Seconds from the time of an update to its computation, in which readings of that
+            time can still arrive; the next update uses those that arrive later.
+        points: Number of points along the robot at which the shape is evaluated.
+        journal: New folder of a recording to which all readings are written; no journal if None.
+        duration: Seconds after which the session ends; if None, it ends when all sources have.
+        patience: Seconds without a current reading after which the session ends with an error; the
+            time in which a source is `busy` does not count.
+        clock: Session clock; if None, that of a source which has one, else a new one.
 
     Attributes:
-        waiting: Called with why nothing has come, again and again until something has.
+        waiting: Called repeatedly with the reason for the silence until a first reading arrives.
 
     Raises:
-        GlissandoError: An argument is wrong; while it runs, a source, a sink or a device failed.
-        ImplausibleError: A source's first readings are not of now: clocks differ.
+        GlissandoError: An argument is invalid; or, during the session, a source or sink failed.
+        ImplausibleError: A source's first readings are far from the present: the clocks differ.
 
         with LiveSession(robot, [IgtlSource("igtl://127.0.0.1", robot, places)]) as session:
             for update in session:
@@ -129,7 +129,7 @@ class LiveSession:
         self._stack.close()
 
     def __iter__(self) -> Iterator[Update]:
-        """Updates until the duration is over, or all sources have finished."""
+        """Yield updates until the duration has passed or all sources have finished."""
         begins = [s.first for s in self.sources if s.first is not None]
         if begins:
             self.clock.begin_at(min(begins))
@@ -160,7 +160,7 @@ class LiveSession:
             arrived, number = [], number + 1
 
     def _read(self) -> list[Readings]:
-        """What all sources have, written to the journal; sinks take what their peers say."""
+        """Read all sources into the journal and the smoother, after polling the sinks."""
         for sink in self.sinks:
             sink.poll()
         arrived: list[Readings] = []
@@ -176,7 +176,7 @@ class LiveSession:
         return arrived
 
     def _note(self, source: Source, newest: float) -> None:
-        """Note that a source has sent readings of now; refuse one that never did."""
+        """Record that a source sent current readings; raise if its first readings are far off."""
         now = self.clock.now()  # -inf before simulated time has begun
         off = newest - now if now > -np.inf else 0.0
         if -(self.delay + self._lag) <= off <= _AHEAD:
@@ -202,7 +202,7 @@ class LiveSession:
             )
 
     def _wait_until(self, due: float) -> None:
-        """Wait until a session time, and take from every source what has come meanwhile."""
+        """Wait until a session time while polling the sources."""
         while -np.inf < (now := self.clock.now()) < due - _POLL:
             self.clock.sleep_until(now + _POLL)
             for source in self.sources:
@@ -249,7 +249,7 @@ class LiveSession:
 
 
 def _warm_up(robot: Robot, rate: float) -> None:
-    """Load the compiled loops with a robot at rest, so that the first updates are not late."""
+    """Load the compiled kernels with a robot at rest, so that the first updates are not late."""
     smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
     rest = robot.prior.rest_state(Grid(robot.arclength_nodes, [0.0])).take(0).pose[[0, -1]]
     for number in range(3):
@@ -263,7 +263,7 @@ def _warm_up(robot: Robot, rate: float) -> None:
 def _require(
     rate: float, lag: float, delay: float, points: int, duration: float | None, patience: float
 ) -> None:
-    """Raise GlissandoError for an argument that cannot be."""
+    """Raise GlissandoError for an argument out of range."""
     if not 0.1 <= rate <= 1000.0:
         raise GlissandoError(f"A rate of {rate:g} Hz cannot be; give 0.1 to 1000.")
     if not 0.0 <= lag * rate <= _MOST_NODES:

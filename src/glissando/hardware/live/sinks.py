@@ -1,4 +1,4 @@
-"""Where updates go; no sink makes the estimate wait."""
+"""Receivers of updates; none of them delays the estimate."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from glissando.io.query_csv import QUERY_COLUMNS, state_rows
 
 
 class Sink(Protocol):
-    """Takes updates; a context manager.
+    """A receiver of updates; a context manager.
 
     Attributes:
-        name: What it is called in messages.
+        name: Name of the sink in messages.
     """
 
     name: str
 
     @property
     def counts(self) -> Counter[str]:
-        """How often something went wrong, by its name."""
+        """Number of failures by name."""
 
     def __enter__(self) -> Self:
         """Open the sink."""
 
     def __exit__(self, *raised: object) -> None:
-        """Close it."""
+        """Close the sink."""
 
     def poll(self) -> None:
-        """Take what peers say, without waiting; many times a second."""
+        """Process incoming messages of peers without waiting; called many times a second."""
 
     def send(self, update: Update) -> None:
-        """Take an update without waiting for anybody."""
+        """Accept an update without waiting for a peer."""
 
     @property
     def problem(self) -> str:
-        """Why nobody gets it, as a phrase; empty while all is well."""
+        """Reason, as a phrase, why no peer receives updates; empty without a problem."""
 
 
 class CsvSink:
@@ -75,10 +75,10 @@ class CsvSink:
             self._file.close()
 
     def poll(self) -> None:
-        """A file says nothing."""
+        """Do nothing: a file has no incoming messages."""
 
     def send(self, update: Update) -> None:
-        """Append the state at every point; a row is whole or missing if the process is killed."""
+        """Append the state at every point, and flush the file."""
         assert self._file is not None
         time = np.full(update.arclength.size, update.time)
         rows = state_rows(time, update.arclength, update.state)

@@ -1,4 +1,4 @@
-"""Where readings come from: each source gives what has come since it was last asked."""
+"""Sources of readings: each returns the readings that have arrived since the last call."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from glissando.model.sensors.readings import Readings
 class Source(Protocol):
     """A source of readings; a context manager.
 
-    One whose readings come late for a reason, such as a stage that homes, may say so by an
-    attribute `busy`; nobody loses patience while it is true.
+    A source whose readings are late for a known reason, such as a stage that homes, may have an
+    attribute `busy`; while it is true, the session's `patience` does not elapse.
 
     Attributes:
-        name: What it is called in messages.
-        first: Session time of its beginning, s, where it has one of its own, else None.
-        clock: Session time, where the source alone can tell it, else None; once it is open.
+        name: Name of the source in messages.
+        first: Session time at which the source begins, s; None for a source in real time.
+        clock: Session clock, defined once the source is open, if the source has its own; else None.
     """
 
     name: str
@@ -34,44 +34,44 @@ class Source(Protocol):
 
     @property
     def clock(self) -> SessionClock | None:
-        """Session time."""
+        """Session clock of the source, or None."""
 
     @property
     def finished(self) -> bool:
-        """Whether nothing more will come."""
+        """Whether no further readings will arrive."""
 
     @property
     def counts(self) -> Counter[str]:
-        """How often something went wrong, by its name."""
+        """Number of messages received and of failures, by name."""
 
     def __enter__(self) -> Self:
         """Open the source."""
 
     def __exit__(self, *raised: object) -> None:
-        """Close it."""
+        """Close the source."""
 
     def poll(self) -> None:
-        """Take what has come out of its link, which may hold little, for `read`; never waits."""
+        """Receive waiting data for the next `read`, so that the link's buffer does not overflow."""
 
     def read(self, clock: SessionClock) -> Sequence[Readings]:
-        """Readings that have come since the last call, by session time; never waits."""
+        """Readings (in session time) that have arrived since the last call; does not wait."""
 
     @property
     def problem(self) -> str:
-        """Why nothing comes, as a phrase; empty while all is well."""
+        """Reason, as a phrase, why no readings arrive; empty without a problem."""
 
 
 class RecordingSource:
-    """A recording at the pace at which it was recorded.
+    """Replays a recording in real time.
 
     Args:
-        recording: Folder of the recording, or the recording.
-        robot: Robot that states the noise of streams that do not.
-        window: First and last time, s; the recording's own unless given.
-        use: Names of streams; all but truth unless given.
+        recording: Recording, or its folder.
+        robot: Robot that defines the noise of streams without noise of their own.
+        window: First and last time, s; those of the recording if None.
+        use: Names of the streams to replay; all except the truth if None.
 
     Raises:
-        RecordingError: The recording, a stream or the window is wrong.
+        RecordingError: The recording, a stream or the window is invalid.
     """
 
     def __init__(
@@ -100,10 +100,10 @@ class RecordingSource:
         pass
 
     def poll(self) -> None:
-        """Nothing waits in a link."""
+        """Do nothing: a recording has no link."""
 
     def read(self, clock: SessionClock) -> Sequence[Readings]:
-        """The readings up to now."""
+        """Readings since the last call, up to the present session time."""
         since, self._given = self._given, min(clock.now(), self._last)
         some = [r.select((r.time > since) & (r.time <= self._given)) for r in self._readings]
         return [readings for readings in some if len(readings)]

@@ -1,4 +1,4 @@
-"""What an update of a live estimate says."""
+"""Result of one update of a live estimate."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from glissando.model.sensors.readings import Readings
 
 @dataclass(frozen=True)
 class Loads:
-    """What acts on the robot where its prior expects loads: at the tip, and at its `points`.
+    """Estimated loads at the tip and at the `points` where the prior places loads.
 
     Attributes:
-        arclength: The places (M,), m.
-        position: Where they are (M, 3), m, world frame.
-        wrench: What acts there, along the axes of the world.
+        arclength: Arclengths (M,) of the loads, m.
+        position: Positions (M, 3) of these points in the world frame, m.
+        wrench: Force and moment at these points, in world axes.
     """
 
     arclength: Array
@@ -31,7 +31,7 @@ class Loads:
 
     @property
     def std_force(self) -> Array:
-        """Standard deviations (M,) of the forces along themselves, N."""
+        """Standard deviations (M,) of the forces in their own directions, N."""
         size = np.linalg.norm(self.wrench.force, axis=-1, keepdims=True)
         along = self.wrench.force / np.maximum(size, 1e-300)
         return np.sqrt(np.einsum("mi,mij,mj->m", along, self.wrench.cov[:, :3, :3], along))
@@ -39,22 +39,22 @@ class Loads:
 
 @dataclass(frozen=True)
 class Update:
-    """The newest shape with its confidence.
+    """Current shape with its covariance.
 
     Attributes:
-        number: How many updates came before.
+        number: Number of earlier updates.
         time: Session time of the shape, s.
-        stamp: The same as an OpenIGTLink stamp of the wall clock.
+        stamp: The same instant as an OpenIGTLink stamp of the wall clock.
         arclength: Points (N,) along the robot, m.
         state: Estimate at these points.
-        newest: Estimate at the robot's own nodes, as `FixedLagSmoother.advance` returns it.
-        readings: Readings that came since the last update.
-        smoother: The estimator, to ask for more, such as `smoother.dropped`.
-        ready: Session time at which the shape was there, s.
-        latency: Seconds from when the update was due to when the shape was there.
-        computing: Seconds of these that the estimate took.
-        skipped: Updates so far that were left out because the machine was too slow.
-        problems: Why sources or sinks are silent, or stamps of another moment, if they are.
+        newest: Estimate at the robot's arclength nodes, as `FixedLagSmoother.advance` returns it.
+        readings: Readings that arrived since the last update.
+        smoother: The estimator, for further queries such as `smoother.dropped`.
+        ready: Session time at which the estimate was complete, s.
+        latency: Seconds from the instant at which the update was due until it was complete.
+        computing: Seconds of this latency spent on the estimate.
+        skipped: Updates skipped so far because the machine was too slow.
+        problems: Reasons why sources or sinks are silent or their time stamps are off, if any.
     """
 
     number: int
@@ -77,7 +77,7 @@ class Update:
         return self.state.position[-1]
 
     def loads(self) -> Loads | None:
-        """What acts on the robot by now; None unless its prior knows its mechanics."""
+        """Estimated loads at the newest time node; None unless the prior is a `MechanicalPrior`."""
         prior = self.smoother.prior
         if not isinstance(prior, MechanicalPrior):
             return None
@@ -88,5 +88,5 @@ class Update:
 
     @property
     def std_tip(self) -> float:
-        """Root of the total position variance of the last point, m."""
+        """Square root of the total position variance of the last point, m."""
         return float(self.state.std_position[-1])
