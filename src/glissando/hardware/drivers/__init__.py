@@ -1,4 +1,4 @@
-"""Drivers of real devices; each is a context manager that says what is wrong in a sentence."""
+"""Drivers of real devices: context managers whose errors state the cause and the remedy."""
 
 from glissando.hardware.drivers.aurora import Aurora
 from glissando.hardware.drivers.gcode import GcodeSlide, GcodeStage

@@ -1,4 +1,4 @@
-"""Reads an NDI Aurora: each of its frames once, with the time of its measurement."""
+"""Driver of an NDI Aurora: each frame once, with the time of its measurement."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from glissando.hardware.drivers.link import ConnectionLostError, DeviceTimeoutEr
 
 _WITH_OUT_OF_VOLUME = "0801"
 _FIRMWARE_WITHOUT_BX = ("AURORA Rev 007", "AURORA Rev 008")
-_EARLY = 2e-3  # s at least before a frame is due that asking for it begins
-_PAUSE = 5e-4  # s between asking and asking again
-_REPLY, _REST = 0.2, 0.05  # s that a reply may take to begin, and its rest to follow
-_SILENCE = 2.0  # s without a whole reply after which the link is taken for lost
-_BETWEEN = 0.3  # s between attempts to connect again
-_REFUSALS = 4  # of requests in a row, after which the device is believed
-_TELLS_STATE = (0x0C, 0x10)  # errors that say it is not tracking, or was reset
-_GARBLED = (0x02, 0x03, 0x04, 0x05)  # errors that say the command came damaged
+_EARLY = 2e-3  # s, least time before a frame is due at which requests begin
+_PAUSE = 5e-4  # s between requests
+_REPLY, _REST = 0.2, 0.05  # s until a reply begins, and for its remainder
+_SILENCE = 2.0  # s without a complete reply after which the link counts as lost
+_BETWEEN = 0.3  # s between attempts to reconnect
+_REFUSALS = 4  # successive refusals that are needed, as a request may arrive damaged
+_TELLS_STATE = (0x0C, 0x10)  # errors of a device that is not tracking, or was reset
+_GARBLED = (0x02, 0x03, 0x04, 0x05)  # errors of a command that arrived damaged
 _ABSENT = ("unoccupied", "disabled")
 
 
@@ -40,16 +40,17 @@ class Aurora:
 
     Args:
         address: Serial path, or tcp://host:port.
-        baud: Rate of a serial line, once it has started at 9600.
-        srom: File for coils that have no memory of their own.
+        baud: Baud rate of a serial line after the connection, which starts at 9600.
+        srom: File for coils without a memory of their own.
         rate: Frames a second.
-        latency: Delay from measuring a frame to its being ready, s, which arrivals do not show.
+        latency: Constant delay from measurement to availability of a frame, s, which cannot be
+            estimated from arrivals.
         std_latency: Standard deviation of `latency`, s.
-        reconnect: Seconds to go on trying when the link is lost; 0 gives up at once.
-        patience: Seconds that the device may take to reset and to initialise.
+        reconnect: Seconds in which a lost link is reopened; 0 to raise at once.
+        patience: Seconds allowed for each of reset and initialisation.
 
     Raises:
-        DeviceError: The device cannot be used; on entering, and in `read`.
+        DeviceError: The device cannot be used; raised on entry and by `read`.
 
         with Aurora("/dev/ttyUSB0") as tracker:
             for frame in tracker:
@@ -93,7 +94,7 @@ class Aurora:
         self.close()
 
     def __iter__(self) -> Iterator[Frame]:
-        """Frames without end, until `read` raises."""
+        """Yield frames until `read` raises."""
         while True:
             yield self.read()
 
@@ -106,14 +107,14 @@ class Aurora:
             self._link = None
 
     def read(self, timeout: float = 1.0) -> Frame:
-        """The next frame, as soon as the tracker has it.
+        """Wait for the next frame, and return it as soon as the tracker has it.
 
         Args:
-            timeout: Seconds to wait, without the time to connect again.
+            timeout: Seconds to wait, not counting the time to reconnect.
 
         Raises:
-            DeviceTimeoutError: No frame came in time.
-            ConnectionLostError: The link is lost and does not come back.
+            DeviceTimeoutError: No frame arrived in time.
+            ConnectionLostError: The link is lost and could not be reopened.
         """
         if self._link is None:
             raise DeviceError(
@@ -176,8 +177,8 @@ class Aurora:
     def _wait_until_due(self) -> None:
         """Sleep until shortly before the next frame can be ready.
 
-        A frame that is ready at the first request tells little about when it became so; after such
-        a frame the next is requested earlier.
+        The arrival of a frame that is ready at the first request does not show when it became
+        ready; after such a frame the next is requested earlier.
         """
         if self._last < 0:
             time.sleep(_PAUSE)
@@ -188,7 +189,7 @@ class Aurora:
         time.sleep(min(wait, self._period) if wait > 0.0 else self._period / 4 if late else _PAUSE)
 
     def _poll(self) -> Reply | None:
-        """One reply, or None when it was damaged or refused for now. Raises ConnectionLostError."""
+        """Request a reply; None if it is damaged or refused for now. Raises ConnectionLostError."""
         try:
             reply = self._request()
         except (GarbledError, DeviceTimeoutError) as problem:
@@ -237,7 +238,7 @@ class Aurora:
         return self._link
 
     def _accept(self, reply: Reply) -> Frame | None:
-        """The frame of a reply if it is new; coils plugged in or out are set up first."""
+        """Frame of a reply if it is new, after setting up coils that were plugged in or out."""
         arrival = self._open_link().arrived
         absent = frozenset(p.handle for p in reply.ports if p.condition in _ABSENT)
         changed = reply.hot_plugged and reply.status & ~self._status
@@ -274,7 +275,7 @@ class Aurora:
         return Frame(count, moment, std, arrival, ports)
 
     def _set_up_again(self) -> None:
-        """Free handles of absent coils and set up new ones; the others miss a few frames."""
+        """Free the handles of absent coils and set up new ones; the others lose a few frames."""
         link = self._open_link()
         self.counts["hot_plugs"] += 1
         try:

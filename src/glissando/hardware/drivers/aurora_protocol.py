@@ -1,6 +1,6 @@
-"""The wire protocol of an NDI Aurora: commands and replies, both protected by a CRC.
+"""Wire protocol of an NDI Aurora: commands and replies, both protected by a CRC.
 
-Pure functions over bytes. A damaged reply raises GarbledError; a whole reply that is a refusal
+Pure functions over bytes. A damaged reply raises GarbledError; an intact reply that is an error
 raises RefusedError. Source: NDI, "Aurora Application Program Interface Guide".
 """
 
@@ -23,7 +23,7 @@ from glissando.hardware.drivers.aurora_reply import (
 )
 
 BX_HEADER = 6
-"""Bytes of a BX reply that state the length of the rest."""
+"""Size of the start of a BX reply, which contains the length of the rest, bytes."""
 
 _BX_START = b"\xc4\xa5"
 _NUMBERS = re.compile(r"[+-]\d{5}" * 4 + r"[+-]\d{6}" * 3 + r"[+-]\d{5}")
@@ -32,7 +32,7 @@ _HANDLE = re.compile(
     r"(?:([0-9A-F]{8})([0-9A-F]{8}))?",
     re.IGNORECASE,
 )
-_FAR = 100.0  # m from the tracker, beyond which no position is believed
+_FAR = 100.0  # m from the tracker, beyond which a position is invalid
 
 
 def _table() -> tuple[int, ...]:
@@ -48,7 +48,7 @@ _CRC = _table()
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16/ARC: x¹⁶ + x¹⁵ + x² + 1, reflected, from zero.
+    """CRC-16/ARC: x¹⁶ + x¹⁵ + x² + 1, reflected, with initial value zero.
 
     >>> f"{crc16(b'INIT:'):04X}"
     'E3A5'
@@ -60,7 +60,7 @@ def crc16(data: bytes) -> int:
 
 
 def frame_command(text: str) -> bytes:
-    r"""The bytes of a command: text, its CRC in four digits, carriage return.
+    r"""Encode a command: text, its CRC in four hexadecimal digits, carriage return.
 
     >>> frame_command("TSTART:")
     b'TSTART:5423\r'
@@ -70,10 +70,10 @@ def frame_command(text: str) -> bytes:
 
 
 def parse_ascii(raw: bytes) -> str:
-    r"""The text of an ASCII reply without CRC and carriage return.
+    r"""Check an ASCII reply; its text without CRC and carriage return.
 
     Raises:
-        GarbledError: The CRC does not fit.
+        GarbledError: The CRC does not match.
         RefusedError: The reply is an error.
 
     >>> parse_ascii(b"OKAYA896\r")
@@ -89,10 +89,10 @@ def parse_ascii(raw: bytes) -> str:
 
 
 def parse_handles(text: str) -> list[int]:
-    """The handles of a PHSR reply: their count, then handle and status of each.
+    """Parse the handles of a PHSR reply: their count, then handle and status of each.
 
     Raises:
-        GarbledError: The text is no such list.
+        GarbledError: The text is not such a list.
 
     >>> parse_handles("020A0010B001")
     [10, 11]
@@ -108,10 +108,10 @@ def parse_handles(text: str) -> list[int]:
 
 
 def parse_tx(raw: bytes) -> Reply:
-    """The readings of a TX reply, resolved to 0.01 mm and to 1e-4 of a quaternion.
+    """Parse a TX reply, whose resolution is 0.01 mm and 1e-4 of a quaternion.
 
-    Whether status and frame number follow DISABLED and UNOCCUPIED differs between clients of the
-    device, so both forms are read.
+    Published clients of the device disagree whether a status and frame number follow DISABLED and
+    UNOCCUPIED, so both forms are accepted.
 
     Raises:
         GarbledError: The reply is damaged.
@@ -145,7 +145,7 @@ def _tx_reading(line: str) -> PortReading:
 
 
 def bx_length(header: bytes) -> int:
-    """Number of bytes after the six that begin a BX reply. Raises GarbledError."""
+    """Number of bytes that follow the first six of a BX reply. Raises GarbledError."""
     if len(header) != BX_HEADER or header[:2] != _BX_START:
         raise GarbledError(f"No beginning of a BX reply: {_shown(header)}; ask again.")
     length, crc = struct.unpack("<HH", header[2:])
@@ -157,7 +157,7 @@ def bx_length(header: bytes) -> int:
 
 
 def parse_bx(raw: bytes) -> Reply:
-    """The readings of a BX reply, in single precision. Raises GarbledError."""
+    """Parse a BX reply, in single precision. Raises GarbledError."""
     if bx_length(raw[:BX_HEADER]) != len(raw) - BX_HEADER:
         raise GarbledError(f"A BX reply of {len(raw)} bytes states another length; ask again.")
     body = raw[BX_HEADER:-2]
@@ -193,8 +193,8 @@ def _bx_body(body: bytes) -> Reply:
 
 
 def _reading(handle: int, values: Array | None, number: int, status: int) -> PortReading:
-    """A reading from [w, x, y, z, x mm, y mm, z mm, quality]; without a pose it is missing."""
-    # The tracker may go on reporting poses of a broken coil; they are not believed.
+    """Reading from [w, x, y, z, x mm, y mm, z mm, quality]; 'missing' without a valid pose."""
+    # The tracker may continue to report poses of a broken coil; they are discarded.
     if values is None or status & BROKEN_COIL or not _is_pose(values):
         return PortReading(handle, "missing", number, status)
     pose = se3.pose(se3.rotation_from_quaternion(values[:4]), 1e-3 * values[4:7])

@@ -1,4 +1,4 @@
-"""Replies of an NDI Aurora: readings of its ports, frames of them, and reasons to refuse."""
+"""Replies of an NDI Aurora: readings of its ports, frames, and error codes."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ ERRORS = {
 """Meaning of an ERROR reply, by its number."""
 
 OUT_OF_VOLUME, PARTIALLY_OUT, BROKEN_COIL = 0x040, 0x080, 0x100
-# Two sources number the hot-plug bits one apart; any of the three is taken as one [inferred].
+# Two sources number the hot-plug bits one apart; any of the three counts as a hot plug [inferred].
 HOT_PLUG = 0x00E0
 
 
 class GarbledError(DeviceError):
-    """A reply came damaged or cut short; another request may help."""
+    """A reply arrived damaged or incomplete; a repeated request may succeed."""
 
 
 class RefusedError(DeviceError):
-    """The device refused; `code` is the number of its error."""
+    """The device refused a command; `code` is the number of its error."""
 
     def __init__(self, code: int):
         self.code = code
@@ -62,16 +62,16 @@ class RefusedError(DeviceError):
 
 @dataclass(frozen=True)
 class PortReading:
-    """What one reply reports of one coil.
+    """Reading of one coil in one reply.
 
     Attributes:
         handle: The coil's handle.
         condition: 'valid', 'missing', 'disabled' or 'unoccupied'.
-        number: The frame's number, an unsigned 32-bit counter; None where the reply lacks it.
-        status: The port's bits; None where the reply lacks them.
+        number: Frame number, an unsigned 32-bit counter; None if absent from the reply.
+        status: Status bits of the port; None if absent from the reply.
         pose: T_tracker,coil (4, 4), metres; None unless valid. For a coil of five degrees of
             freedom the roll about its axis is arbitrary.
-        quality: NDI's indicator, 0 at best; no standard deviation.
+        quality: NDI's quality indicator, 0 at best; not a standard deviation.
     """
 
     handle: int
@@ -88,7 +88,7 @@ class PortReading:
 
     @property
     def out_of_volume(self) -> bool:
-        """Whether the coil is outside the volume of the tracker's stated accuracy."""
+        """Whether the coil is outside the volume for which the tracker's accuracy is specified."""
         return self._has(OUT_OF_VOLUME)
 
     @property
@@ -128,10 +128,10 @@ class Frame:
     """One frame of the tracker.
 
     Attributes:
-        number: The frame's number, unwrapped.
-        time: When it was measured, s of the host's monotonic clock, from `number`.
+        number: Frame number, unwrapped.
+        time: Time of measurement, estimated from `number`, s of the host's monotonic clock.
         std_time: Standard deviation of `time`, s.
-        arrival: When the reply came, by the same clock.
+        arrival: Time at which the reply arrived, by the same clock.
         ports: Readings of the coils, in the tracker's order of handles.
     """
 

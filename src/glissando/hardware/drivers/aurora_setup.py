@@ -1,4 +1,4 @@
-"""From a cold start to tracking: the commands that set an Aurora up."""
+"""Commands that set an Aurora up, from a cold start to tracking."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ BAUD_CODES = {9600: "0", 14400: "1", 19200: "2", 38400: "3", 57600: "4", 115200:
 BAUD_CODES |= {921600: "6", 1228739: "7", 230400: "A"}
 """Baud rates of the device, and their codes in COMM."""
 
-_TRIES = 3  # of a command whose reply comes damaged
-_REPLY = 5.0  # s that a command may take
-_SETTLE = 0.2  # s on both sides of a change of the baud rate
-_REFUSED = 1.0  # s to wait for RESET after something was refused
-_ROUNDS = 4  # of initialising: a coil may show another on the same plug
+_TRIES = 3  # attempts at a command whose reply arrives damaged
+_REPLY = 5.0  # s allowed for a command
+_SETTLE = 0.2  # s before and after a change of the baud rate
+_REFUSED = 1.0  # s to wait for RESET after a refusal
+_ROUNDS = 4  # of initialisation: an initialised coil may reveal another one on the same plug
 _SROM, _WRITE = 1024, 64  # bytes of a virtual SROM, and of one write
 _NO_SROM = 0x13
 _WRONG_MODE = 0x0C
@@ -28,7 +28,7 @@ _WRONG_MODE = 0x0C
 
 @dataclass(frozen=True)
 class Tool:
-    """A coil that is plugged in, with its serial number and its place on the plugs."""
+    """A coil that is plugged in: handle, serial number, and port and channel of its plug."""
 
     handle: int
     serial: str
@@ -37,17 +37,17 @@ class Tool:
 
 
 def ask(link: Link, command: str, timeout: float = _REPLY, tries: int = _TRIES) -> str:
-    """The reply to a command, which is sent again when the reply is damaged or absent.
+    """Send a command, again if the reply is damaged or missing; the text of the reply.
 
     Args:
         link: Link to the device.
         command: Text without its CRC.
         timeout: Seconds to wait for each reply.
-        tries: How often the command is sent at most.
+        tries: Maximum number of attempts.
 
     Raises:
         GarbledError: The last reply was damaged.
-        DeviceTimeoutError: The last reply did not come.
+        DeviceTimeoutError: The last reply did not arrive.
         RefusedError: The device refused.
     """
     for left in reversed(range(tries)):
@@ -61,18 +61,18 @@ def ask(link: Link, command: str, timeout: float = _REPLY, tries: int = _TRIES) 
 
 
 def start_up(link: Link, baud: int, patience: float) -> str:
-    """Reset and initialise a device, and raise the rate of its line.
+    """Reset and initialise a device, and raise the baud rate of its line.
 
     Args:
         link: Link to the device.
-        baud: Rate of a serial line.
-        patience: Seconds that resetting and initialising may take each.
+        baud: Baud rate of a serial line.
+        patience: Seconds allowed for each of reset and initialisation.
 
     Returns:
-        The device's description of itself.
+        The device's version text.
 
     Raises:
-        DeviceError: It does not answer as an Aurora does.
+        DeviceError: The device does not answer as an Aurora does.
     """
     _reset(link, patience)
     answer = ask(link, "INIT:", patience)
@@ -81,14 +81,14 @@ def start_up(link: Link, baud: int, patience: float) -> str:
             f"{link.address} answered INIT with {answer[:40]!r}, which no Aurora does; give the "
             f"address of an Aurora."
         )
-    time.sleep(0.1 if link.baud else 0.0)  # as NDI asks after INIT
+    time.sleep(0.1 if link.baud else 0.0)  # NDI requires a pause after INIT
     if link.baud is not None and baud != link.baud:
         _speed_up(link, baud)
     return ask(link, "VER:0")
 
 
 def _reset(link: Link, patience: float) -> None:
-    """BREAK where there is one, else a command; a device that knows neither goes on."""
+    """Send a BREAK where the line has one, else RESET; a device without either is left as it is."""
     if link.baud is not None:
         link.set_baud(9600)
     if not link.send_break():
@@ -100,15 +100,15 @@ def _reset(link: Link, patience: float) -> None:
             if b"RESET" in reply or parse_ascii(reply) == "OKAY":
                 return
         except GarbledError:
-            continue  # the end of something older
+            continue  # the end of an older message
         except RefusedError:  # of the lone carriage return, or of RESET itself
             deadline = min(deadline, time.monotonic() + _REFUSED)
         except DeviceTimeoutError:
-            return  # INIT will show whether it lives
+            return  # INIT then shows whether the device responds
 
 
 def _speed_up(link: Link, baud: int) -> None:
-    # A damaged reply may have come at either rate; the next command shows which.
+    # A damaged reply may have arrived at either rate; the next command shows which.
     with contextlib.suppress(GarbledError, DeviceTimeoutError):
         ask(link, f"COMM:{BAUD_CODES[baud]}0000", tries=1)
     time.sleep(_SETTLE)
@@ -124,7 +124,7 @@ def enable_tools(link: Link, srom: Path | None) -> tuple[list[Tool], list[str]]:
         srom: File for coils without a memory of their own.
 
     Returns:
-        The coils that can be used, and a sentence on each of the others.
+        The usable coils, and a message on each of the others.
 
     Raises:
         DeviceError: The device does not answer, or the file cannot be read.
@@ -133,7 +133,7 @@ def enable_tools(link: Link, srom: Path | None) -> tuple[list[Tool], list[str]]:
         try:
             ask(link, f"PHF:{handle:02X}")
         except RefusedError:
-            continue  # freed already, by a try whose reply was damaged
+            continue  # freed by an earlier attempt whose reply was damaged
     faulty: dict[int, str] = {}
     for _ in range(_ROUNDS):
         waiting = [h for h in parse_handles(ask(link, "PHSR:02")) if h not in faulty]
@@ -151,7 +151,7 @@ def enable_tools(link: Link, srom: Path | None) -> tuple[list[Tool], list[str]]:
 
 
 def _initialise(link: Link, handle: int, srom: Path | None) -> None:
-    """PINIT; a coil without a memory of its own is given a file, or the default, in its place."""
+    """Initialise a coil; one without memory first receives a file or the default configuration."""
     try:
         ask(link, f"PINIT:{handle:02X}")
         return
@@ -168,7 +168,7 @@ def _initialise(link: Link, handle: int, srom: Path | None) -> None:
 
 
 def _read_srom(path: Path) -> bytes:
-    """The image of a virtual SROM, filled up to its 1024 bytes. Raises DeviceError."""
+    """Read the image of a virtual SROM, padded to 1024 bytes. Raises DeviceError."""
     try:
         image = path.read_bytes()
     except OSError as problem:
@@ -191,7 +191,7 @@ def _why_faulty(handle: int, refusal: RefusedError, srom: Path | None) -> str:
 
 
 def _describe(link: Link, handle: int) -> Tool:
-    """Serial number and place from PHINF, empty where the device refuses."""
+    """Tool with serial number and plug from PHINF, which are empty if the device refuses."""
     try:
         text = ask(link, f"PHINF:{handle:02X}0021")
     except RefusedError:
@@ -200,7 +200,7 @@ def _describe(link: Link, handle: int) -> Tool:
 
 
 def begin_tracking(link: Link) -> None:
-    """Start tracking, unless the device tracks already. Raises DeviceError."""
+    """Start tracking, unless the device already tracks. Raises DeviceError."""
     try:
         ask(link, "TSTART:")
     except RefusedError as refusal:

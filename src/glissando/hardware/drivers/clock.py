@@ -1,4 +1,4 @@
-"""A device's counter and the host's clock: when the device counted n."""
+"""Clock synchronisation: host time as a function of a device's counter."""
 
 from __future__ import annotations
 
@@ -6,28 +6,29 @@ import numpy as np
 
 from glissando.geometry.se3 import Array
 
-_BLOCKS = 32  # readings, or least late readings of stretches, that the line is fitted through
-_LARGEST = 64  # readings a stretch holds at most
+_BLOCKS = 32  # least delayed readings, one a block of successive readings, that the line fits
+_LARGEST = 64  # largest number of readings in a block
 _DRIFT = 1e-4  # standard deviation of a counter's rate about the nominal, relative
-_JITTER = 2e-3  # s of delay expected before any has been seen; counts as two readings
-_STEP = 0.1  # s off the line that is no delay: the counter has jumped
-_PATIENCE = 40  # readings in a row that must be late before the counter is taken to have jumped
-_REACH = 3.0  # standard deviations at which a reading counts a quarter
+_JITTER = 2e-3  # s, prior of the delay; weighted as two readings
+_STEP = 0.1  # s off the line, above which it is not a delay but a jump of the counter
+_PATIENCE = 40  # successive late readings after which the counter counts as having jumped
+_REACH = 3.0  # standard deviations at which the weight of a reading is a quarter
 
 
 class ClockFit:
     """Maps a device's counter to the host's monotonic clock, in bounded memory.
 
-    A reading arrives `latency` after it was made, plus a delay that is never negative. Therefore
-    the least late of each stretch of readings is kept, and a robust line fitted through those; the
-    smallest of many delays is nearly exponential, with a mean equal to its standard deviation, by
-    which the line is lowered. Arrivals do not show a constant delay; `latency` states it.
+    A reading arrives `latency` after its measurement, plus a delay that is never negative.
+    Therefore the least delayed reading of each block of successive readings is kept, and a robust
+    line fitted through these. The minimum of many delays is nearly exponential, with a mean equal
+    to its standard deviation, by which the line is lowered. A constant delay cannot be estimated
+    from arrivals; `latency` supplies it.
 
     time(n) = `offset` + `period` (n − `origin`) − latency, with `cov` (2, 2) of offset and period.
 
     Args:
         period: Nominal duration of one count, s.
-        modulus: Where the counter wraps.
+        modulus: Count at which the counter wraps.
         latency: Constant delay from a reading to its arrival, s.
         std_latency: Standard deviation of `latency`, s.
 
@@ -47,26 +48,26 @@ class ClockFit:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything, as after a reset of the device; counted in `restarts`."""
+        """Discard the fit, as after a reset of the device; `restarts` counts the calls."""
         self.restarts += 1
         self._last: int | None = None
         self._first = self._host = 0.0
-        self._count: list[float] = []  # of the least late of each stretch, from the first
-        self._delay: list[float] = []  # its arrival against the nominal rate
+        self._count: list[float] = []  # of the least delayed reading of each block, from the first
+        self._delay: list[float] = []  # its arrival relative to the nominal rate
         self._open: tuple[float, float] | None = None
         self._inside, self._size, self._late = 0, 1, 0
         self.origin, self.offset, self.period = 0.0, 0.0, self._nominal
         self.cov: Array = np.diag([_JITTER, _DRIFT * self._nominal]) ** 2
 
     def add(self, number: int, host: float) -> int:
-        """Add one arrival; returns its number unwrapped.
+        """Add one arrival; its unwrapped number.
 
-        The last number again adds nothing. A smaller one, or one that arrived before it could be
-        measured, restarts the fit: the device was reset.
+        A repeated number is ignored. A smaller number, an arrival well before its predicted time,
+        or many successive late arrivals restart the fit, as after a reset of the device.
 
         Args:
-            number: The counter.
-            host: When it arrived, s.
+            number: Value of the counter.
+            host: Time of arrival, s of the host's monotonic clock.
         """
         count = self._unwrapped(number, host)
         if count == self._last:
@@ -83,7 +84,7 @@ class ClockFit:
         return count
 
     def time(self, count: float) -> float:
-        """When an unwrapped number was measured, seconds of the host's monotonic clock."""
+        """Time at which an unwrapped number was measured, s of the host's monotonic clock."""
         return self.offset + self.period * (count - self.origin) - self._latency
 
     def std_time(self, count: float) -> float:
@@ -92,7 +93,7 @@ class ClockFit:
         return float(np.sqrt(row @ self.cov @ row + self._std_latency**2))
 
     def count_at(self, time: float) -> float:
-        """The unwrapped number, between whole ones, at a time in seconds."""
+        """Unwrapped number, with a fraction, at a time in seconds."""
         return self.origin + (time + self._latency - self.offset) / self.period
 
     def _unwrapped(self, number: int, host: float) -> int:
@@ -120,7 +121,7 @@ class ClockFit:
         self._fit()
 
     def _fold(self) -> None:
-        """Make room: of each two stretches one, or forget the oldest."""
+        """Halve the number of blocks by merging pairs, or drop the oldest block of largest size."""
         if self._size == _LARGEST:
             self._count, self._delay = self._count[1:], self._delay[1:]
             return
@@ -131,7 +132,7 @@ class ClockFit:
         self._size *= 2
 
     def _fit(self) -> None:
-        """The robust line: Geman-McClure's weights, the rate held near the nominal."""
+        """Fit the robust line: Geman-McClure weights, and a prior of the rate about the nominal."""
         count, delay = np.array(self._count), np.array(self._delay)
         middle = float(count.mean())
         x = self._nominal * (count - middle)
@@ -152,8 +153,8 @@ class ClockFit:
             normal = (rows.T * weight) @ rows / variance + np.diag([0.0, _DRIFT**-2])
             line = np.linalg.solve(normal, rows.T @ (weight * delay) / variance)
         std = float(np.sqrt(variance))
-        # The weights remove tails that the covariance should include, and the standard deviation
-        # of the lowering is about half the lowering.
+        # The weights remove tails that the covariance should include, and the standard deviation of
+        # the amount by which the line is lowered is about half that amount.
         cov = 1.5 * np.linalg.inv(normal)
         cov[0, 0] += (0.5 * std) ** 2
         turn = np.diag([1.0, self._nominal])

@@ -1,6 +1,6 @@
-"""A servo's registers through the official SDK, with retries, counts, errors and time stamps.
+"""Registers of a servo through the official SDK, with retries, error counts and time stamps.
 
-The SDK takes a late answer to one request for the answer to the next; here late answers are found.
+The SDK mistakes a late answer to one request for the answer to the next; this module detects it.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from time import monotonic
 from glissando.errors import DeviceError
 from glissando.hardware.drivers.sdk import lost_port, opened
 
-WRAP = 32768  # ms, where the servo's clock begins again
+WRAP = 32768  # ms, at which the servo's clock wraps
 DRIVE_MODE, OPERATING_MODE, HOMING_OFFSET = 10, 11, 20
 TORQUE, HARDWARE_ERROR, WATCHDOG = 64, 70, 98
 PWM_LIMIT, GOAL_PWM, PROFILE, TICK = 36, 100, 108, 120
 
 XL430 = 1060  # model number
 _EXTENDED_POSITION = 4  # operating mode
-_MODEST = 150  # ticks that the position may change by when torque comes on
+_MODEST = 150  # ticks by which the position may change when torque is switched on
 _ATTEMPTS = 4
-_QUIET = 0.03  # s without a byte after which no late answer is expected any more
+_QUIET = 0.03  # s without a byte after which no late answer is expected
 _NO_REPLY, _CORRUPT, _RESEND = -3001, -3002, 3
 _ALERT = 0x80
 _REFUSED = {
@@ -43,7 +43,7 @@ _HARDWARE = {
 
 
 class NoAnswerError(DeviceError):
-    """A servo did not answer several requests in a row."""
+    """A servo did not answer several successive requests."""
 
 
 @dataclass(frozen=True)
@@ -55,19 +55,19 @@ class Answer:
     answered: float
 
     def signed(self, offset: int, size: int) -> int:
-        """The signed integer of `size` bytes at an offset."""
+        """Signed integer of `size` bytes at an offset."""
         return int.from_bytes(self.data[offset : offset + size], "little", signed=True)
 
 
 @dataclass(frozen=True)
 class State:
-    """One reading of a servo's state, in its own units.
+    """One reading of a servo's state, in the servo's units.
 
     Attributes:
-        time: Middle of the exchange, monotonic s of the host.
-        clock: The servo's clock, which never wraps here, s.
-        load: Load, 0.1 %.
-        velocity: Speed, 0.229 rpm.
+        time: Midpoint of the exchange, monotonic s of the host.
+        clock: Time of the servo's clock, unwrapped, s.
+        load: Load, in units of 0.1 %.
+        velocity: Speed, in units of 0.229 rpm.
         position: Position, ticks.
     """
 
@@ -79,7 +79,7 @@ class State:
 
 
 def hardware_error(bits: int) -> str:
-    """The hardware-error status (register 70) in words.
+    """Describe the hardware-error status (register 70).
 
     >>> hardware_error(0x24)
     'it is too hot; let it cool, and it was overloaded; free the carriage'
@@ -89,12 +89,12 @@ def hardware_error(bits: int) -> str:
 
 
 def unwrapped(last: int, tick: int, elapsed: float) -> int:
-    """A tick of 0…32767 ms as a number that never wraps.
+    """Unwrap a tick of 0…32767 ms.
 
     Args:
-        last: An earlier number, unwrapped.
-        tick: The tick now.
-        elapsed: Seconds between them, known to better than 16 s.
+        last: An earlier tick, unwrapped.
+        tick: The present tick.
+        elapsed: Seconds between them, with an error below 16 s.
 
     >>> unwrapped(32_700, 40, elapsed=0.1), unwrapped(32_700, 40, elapsed=33.0)
     (32808, 65576)
@@ -104,16 +104,16 @@ def unwrapped(last: int, tick: int, elapsed: float) -> int:
 
 
 class Servo:
-    """The registers of one servo; DeviceError when it fails or does not answer.
+    """The registers of one servo; methods raise DeviceError if it fails or does not answer.
 
     Attributes:
-        counts: How many answers were missing, corrupt, stale, or refusals of a bad CRC.
+        counts: Number of answers that were 'missing', 'corrupt', 'stale', 'refused' or 'failed'.
         aborted: Set by another thread to end a motion: `state` then raises DeviceError.
 
     Args:
         address: Serial path.
-        identity: The servo's address on its bus.
-        baud: Rate of the serial line.
+        identity: ID of the servo on its bus.
+        baud: Baud rate of the serial line.
     """
 
     def __init__(self, address: str, identity: int, baud: int) -> None:
@@ -134,7 +134,7 @@ class Servo:
         """Read registers.
 
         Args:
-            address: The first byte's.
+            address: Address of the first byte.
             size: Number of bytes.
             check_error: Whether a pending hardware error raises DeviceError.
         """
@@ -150,8 +150,8 @@ class Servo:
         """Write registers.
 
         Args:
-            address: The first byte's.
-            values: Each (number, size in bytes), one after the other.
+            address: Address of the first byte.
+            values: Each (number, size in bytes), in consecutive registers.
             check_error: Whether a pending hardware error raises DeviceError.
         """
         data = b"".join((n % (1 << 8 * size)).to_bytes(size, "little") for n, size in values)
@@ -164,7 +164,7 @@ class Servo:
         self._asked(f"write {shown} at {address}", ask, check_error=check_error)
 
     def reboot(self) -> None:
-        """Restart the servo, which clears hardware errors and loses the number of turns."""
+        """Restart the servo, which clears hardware errors and loses the count of turns."""
         self._asked(
             "reboot",
             lambda: ([], *self._handler.reboot(self._port, self.identity)),
@@ -173,7 +173,7 @@ class Servo:
         self._clock = None
 
     def prepare(self) -> None:
-        """Set the registers up. Those of the EEPROM are written only where they differ."""
+        """Initialise the registers. Those of the EEPROM are written only where they differ."""
 
         def ping() -> tuple[list[int], int, int]:
             model, result, error = self._handler.ping(self._port, self.identity)
@@ -187,8 +187,8 @@ class Servo:
             )
         for address in (TORQUE, WATCHDOG):
             self.write(address, (0, 1), check_error=False)
-        # Drive mode 0: not reversed, profiles by speed, no torque by a goal alone. With a homing
-        # offset some firmware runs away when its watchdog bites (reported to DynamixelSDK in 2022).
+        # Drive mode 0: not reversed, velocity-based profiles, no torque on a goal alone. With a
+        # homing offset some firmware runs away when its watchdog trips (DynamixelSDK, 2022).
         wanted = (
             (OPERATING_MODE, _EXTENDED_POSITION, 1),
             (DRIVE_MODE, 0, 1),
@@ -199,10 +199,10 @@ class Servo:
                 self.write(address, (value, size), check_error=False)
 
     def state(self, *, check_error: bool = True) -> State:
-        """Clock, load, velocity and position, in one read.
+        """Read clock, load, velocity and position in one request.
 
-        An answer whose tick is not from now answers an earlier request, and the request is
-        repeated; when that does not help, the servo has restarted and DeviceError is raised.
+        An answer whose tick lies outside the exchange belongs to an earlier request, and the
+        request is repeated; if that does not help, the servo has restarted: DeviceError is raised.
         """
         if check_error and self.aborted:
             raise DeviceError("The motion of the stage was aborted.")
@@ -224,19 +224,19 @@ class Servo:
     def aim(
         self, goal: int, *, speed: int, acceleration: int = 0, check_error: bool = True
     ) -> None:
-        """Send a goal with its limits, in one packet and in the servo's units.
+        """Send a goal with its limits in one packet, in the servo's units.
 
         Args:
             goal: Position, ticks.
-            speed: Largest speed; 0 is as fast as it can.
-            acceleration: Its acceleration; 0 changes speed at once.
+            speed: Largest speed; 0 for no limit.
+            acceleration: Acceleration; 0 for steps in speed.
             check_error: Whether a pending hardware error raises DeviceError.
         """
         self.write(PROFILE, (acceleration, 4), (speed, 4), (goal, 4), check_error=check_error)
 
     def power(self) -> None:
-        """Switch the torque on, and check: some firmware miscounts turns then."""
-        self._clock = None  # home is sought anew
+        """Switch the torque on, and check the position: some firmware then miscounts turns."""
+        self._clock = None  # homing follows
         before = self.state().position
         self.aim(before, speed=0)
         self.write(TORQUE, (1, 1))
@@ -248,41 +248,41 @@ class Servo:
             )
 
     def watchdog_stopped(self) -> bool:
-        """Whether the watchdog has stopped it; False also when it does not answer."""
+        """Whether the watchdog has stopped the servo; False also if it does not answer."""
         try:
             return self.read(WATCHDOG, 1, check_error=False).signed(0, 1) < 0
         except DeviceError:
             return False
 
     def halt(self) -> bool:
-        """Hold the position, or else switch the torque off; returns whether it holds."""
+        """Hold the position, or switch the torque off if that fails; whether it holds."""
         try:
             self.aim(self.state(check_error=False).position, speed=0, check_error=False)
             held = True
         except NoAnswerError:
             held = False
         except DeviceError:
-            held = self.watchdog_stopped()  # then goals are refused, and it stands already
+            held = self.watchdog_stopped()  # then it refuses goals, and is already at rest
         if not held:
             self.write(TORQUE, (0, 1), check_error=False)
-        self.write(WATCHDOG, (0, 1), check_error=False)  # not before it stands
+        self.write(WATCHDOG, (0, 1), check_error=False)  # only once it is at rest
         return held
 
     def _unwrapped_tick(self, tick: int, answer: Answer) -> int | None:
-        """The tick unwrapped; None if it was not taken between request and answer."""
+        """Unwrapped tick; None if it was not taken between request and answer."""
         if self._clock is None:
             return tick
         last, before = self._clock
         elapsed = 0.5 * (answer.sent + answer.answered - before.sent - before.answered)
         now = unwrapped(last, tick, elapsed)
-        slack = 0.003 + 0.02 * elapsed  # s: a tick either way, and how far its clock may be off
+        slack = 0.003 + 0.02 * elapsed  # s: one tick either way, and the error of the servo's clock
         least, most = answer.sent - before.answered, answer.answered - before.sent
         return now if least - slack <= 1e-3 * (now - last) <= most + slack else None
 
     def _asked(
         self, what: str, ask: Callable[[], tuple[list[int], int, int]], *, check_error: bool = True
     ) -> Answer:
-        """The first sound answer of a few attempts."""
+        """Repeat a request until an intact answer arrives, a few times at most."""
         for _ in range(_ATTEMPTS):
             self._port.is_using = False  # an exception inside the SDK leaves it set
             sent = monotonic()

@@ -1,9 +1,9 @@
-"""A stage that a GRBL controller drives: steps and direction by G-code over a serial line.
+"""A stage with a GRBL controller, which turns G-code on a serial line into step pulses.
 
 Motions are jogs ($J=) in machine coordinates (G53). A jog cancel (0x85) is a feed hold that drops
-all further jogs and keeps the position; a host that dies leaves at most the few that are on their
-way, some hundredths of a second. Written after the documentation of GRBL 1.1 [read: gnea/grbl,
-doc/markdown/commands.md, jogging.md and interface.md]; FluidNC and grblHAL speak the same.
+all queued jogs and keeps the position. If the host dies, the controller completes at most the few
+queued jogs, some hundredths of a second. Based on the documentation of GRBL 1.1 [read: gnea/grbl,
+doc/markdown/commands.md, jogging.md and interface.md]; FluidNC and grblHAL use the same protocol.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from glissando.model.table import Table
 
 _STATUS = re.compile(rb"<(\w+)(?::\d+)?\|(MPos|WPos):([-\d.,]+)")
 _RESET = b"\x18"
-_BANNER = (b"grbl", b"fluidnc")  # how a controller greets when it has started
-_REPLY, _BOOT = 0.2, 5.0  # s for a reply, a restart
+_BANNER = (b"grbl", b"fluidnc")  # beginnings of a controller's greeting after a start
+_REPLY, _BOOT = 0.2, 5.0  # s allowed for a reply, and for a restart
 _ATTEMPTS = 4
 _ERRORS = {
     8: "it is not idle",
@@ -34,21 +34,21 @@ _ERRORS = {
     16: "it did not understand a jog; it needs GRBL 1.1 or later",
 }
 _MM, _MINUTE = 1e3, 60.0
-_HOMING = 120.0  # s for a homing cycle
-_PATIENCE = 2.0  # s for a motion to stop
-_PACE = 0.02  # s between looks whether it has
+_HOMING = 120.0  # s allowed for a homing cycle
+_PATIENCE = 2.0  # s allowed for a motion to stop
+_PACE = 0.02  # s between checks whether it has
 
 
 @dataclass(frozen=True)
 class GcodeStage(PositionStage):
-    """A stage on one axis of a GRBL controller; its `home` is the travel after its cycle ($H).
+    """A stage on one axis of a GRBL controller; `home` is the travel after its homing cycle ($H).
 
     Attributes:
-        axis: The axis' letter.
-        baud: Rate of the serial line.
+        axis: Letter of the axis.
+        baud: Baud rate of the serial line.
 
     Raises:
-        DeviceError: A value is impossible.
+        DeviceError: A value is out of range.
     """
 
     axis: str = "X"
@@ -66,10 +66,10 @@ class GcodeStage(PositionStage):
 
 
 def parse_status(line: bytes) -> tuple[str, list[float]]:
-    """State and position in mm of a status report.
+    """Parse the state and the position in mm of a status report.
 
     Raises:
-        DeviceError: It is none, or reports work positions.
+        DeviceError: The line is not a status report, or contains work positions.
 
     >>> parse_status(b"<Idle|MPos:1.000,0.000,-2.500|FS:0,0>")
     ('Idle', [1.0, 0.0, -2.5])
@@ -86,16 +86,16 @@ def parse_status(line: bytes) -> tuple[str, list[float]]:
 
 
 class GcodeLine:
-    """An open line to a controller, which is restarted.
+    """An open line to a controller, which is restarted when the line is opened.
 
     Args:
         address: Serial path, or tcp://host:port.
-        stage: Its axis and the rate of the line.
-        counts: Where missing and corrupt answers are counted.
+        stage: Its axis and baud rate.
+        counts: Counter of missing and corrupt answers, updated in place.
         on_loss: Called when the controller has lost its position.
 
     Raises:
-        DeviceError: No controller answers; from any method: it refuses, or raises an alarm.
+        DeviceError: No controller answers; from any method: a refusal or an alarm.
     """
 
     def __init__(
@@ -124,15 +124,15 @@ class GcodeLine:
         self._link.close()
 
     def reset(self) -> None:
-        """Restart the controller; one that moves loses its position."""
+        """Restart the controller; if it moves, its position is lost."""
         self._link.write(_RESET)
 
     def cancel(self) -> None:
-        """End a jog and drop those that wait."""
+        """Cancel the present jog and all queued ones."""
         self._link.write(b"\x85")
 
     def status(self) -> tuple[str, float]:
-        """State, and machine position of the axis in mm."""
+        """State of the controller, and machine position of the axis in mm."""
         for _ in range(_ATTEMPTS):
             self._link.write(b"?")
             try:
@@ -153,7 +153,7 @@ class GcodeLine:
         )
 
     def send(self, command: str, within: float = _REPLY) -> None:
-        """Send a line and wait for its ok, `within` s."""
+        """Send a line and wait for its 'ok' for at most `within` s."""
         self._link.write(command.encode() + b"\n")
         end = monotonic() + within
         while True:
@@ -186,7 +186,7 @@ class GcodeLine:
             )
 
     def _line(self, timeout: float) -> bytes:
-        """The next line that is not empty. Raises DeviceTimeoutError, whatever comes later."""
+        """Next line that is not empty. Raises DeviceTimeoutError at the end of `timeout` s."""
         end = monotonic() + timeout
         while True:
             if monotonic() > end:
@@ -197,15 +197,15 @@ class GcodeLine:
 
 
 class GcodeSlide(PositionSlide):
-    """A stage on a GRBL controller, to be used in a with-block; it stands still afterwards.
+    """A stage on a GRBL controller, used as a context manager; at rest after the block.
 
     Args:
         address: Serial path, or tcp://host:port.
         stage: Its limits and its axis.
 
     Raises:
-        DeviceError: From any method: the controller does not answer, refuses, raises an alarm, or
-            the travel is not known yet.
+        DeviceError: From any method: the controller does not answer, refuses or raises an alarm,
+            or the travel is not yet known.
     """
 
     stage: GcodeStage
@@ -233,7 +233,7 @@ class GcodeSlide(PositionSlide):
         return self._open
 
     def home_here(self, travel: float) -> None:
-        """Declare the stage's travel now, in metres; an alarm of a missing homing is unlocked."""
+        """Declare the present travel, m, after clearing an alarm for lack of homing."""
         self.stage.require_inside(travel)
         if self._line.status()[0] == "Alarm":
             self._line.send("$X")
@@ -248,7 +248,7 @@ class GcodeSlide(PositionSlide):
         return self._standing_place()
 
     def abort(self) -> None:
-        """End the motion that another thread waits for; a controller that homes is reset."""
+        """End the motion that another thread waits for; a controller in a homing cycle is reset."""
         super().abort()
         if self._homing:
             self._line.reset()
@@ -272,14 +272,14 @@ class GcodeSlide(PositionSlide):
         return self._line.status()[0] == "Idle"
 
     def stop(self) -> None:
-        """Stand still at once; the position stays known.
+        """Stop at once; the position stays known.
 
-        A controller that homes heeds no cancel, and may not even answer: it is reset, as is one
-        that does not stop or does not say whether it has.
+        A controller in a homing cycle ignores a cancel and may not answer. It is reset, as is one
+        that does not stop or does not report its state.
         """
         line, end = self._line, monotonic() + _PATIENCE
         while True:
-            line.cancel()  # again and again: one that comes between two jogs has no effect
+            line.cancel()  # repeatedly: a cancel that arrives between two jogs has no effect
             try:
                 state = line.status()[0]
             except StandingError:
@@ -295,6 +295,6 @@ class GcodeSlide(PositionSlide):
             sleep(_PACE)
 
     def _reset(self) -> None:
-        """End whatever the controller does, with which it may lose its position."""
+        """End any action of the controller, which may lose its position."""
         self._forget()
         self._line.reset()

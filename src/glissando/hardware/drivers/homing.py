@@ -1,4 +1,4 @@
-"""Finding a mechanical stop by touch: gently, twice, and only if both agree."""
+"""Homing by contact with a mechanical stop: gentle, repeated, and checked for agreement."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from glissando.errors import DeviceError
 from glissando.hardware.drivers.dynamixel import Servo
 from glissando.hardware.drivers.stage import Stage
 
-_STALL = 0.3  # s over which a standing carriage has met something
-_CRAWL = 0.1  # of the speed asked for: slower is standing
-_BACK = 2e-3  # m, back from the stop before the second touch
-_AGREE = 2e-4  # m between the two touches
-_PACE = 0.01  # s between looks
+_STALL = 0.3  # s at rest after which the carriage counts as stopped by an obstacle
+_CRAWL = 0.1  # fraction of the commanded speed below which the carriage counts as at rest
+_BACK = 2e-3  # m of retreat from the stop before the second contact
+_AGREE = 2e-4  # m, tolerance between the two contacts
+_PACE = 0.01  # s between readings
 
 
 def touch(servo: Servo, stage: Stage, speed: float, pwm: float) -> int:
-    """The position in ticks at which the carriage meets its mechanical stop.
+    """Position in ticks at which the carriage touches its mechanical stop.
 
-    It must stand while the load shows that it pushes, come back when asked to, and stand again at
-    the same position [inferred: thresholds are to be tried on the real stage].
+    The carriage must be at rest while the load shows that it pushes, retreat on command, and come
+    to rest again at the same position [inferred: thresholds are to be tried on the real stage].
 
     Args:
         servo: The servo, with torque on.
-        stage: What it moves.
-        speed: Of the approach, m/s.
-        pwm: Share of the motor's voltage that it has been allowed.
+        stage: The stage that the servo moves.
+        speed: Speed of approach, m/s.
+        pwm: Fraction of the motor's voltage to which it is limited.
 
     Raises:
-        DeviceError: No stop was met, the carriage stuck, or the two touches differ.
+        DeviceError: No stop was found, the carriage is stuck, or the two contacts disagree.
     """
     assert stage.home is not None
     low, high = stage.stroke
@@ -50,7 +50,7 @@ def touch(servo: Servo, stage: Stage, speed: float, pwm: float) -> int:
 
 
 def _press(servo: Servo, stage: Stage, way: float, speed: float, pwm: float) -> int:
-    """Move until the carriage stands although it is pushed; returns its position."""
+    """Move until the carriage is at rest although it is driven; its position in ticks."""
     start = servo.state().position
     goal = start + round(stage.ticks(way))
     servo.aim(goal, speed=stage.speed_units(speed))
@@ -76,7 +76,7 @@ def _press(servo: Servo, stage: Stage, way: float, speed: float, pwm: float) -> 
 
 
 def _retreat(servo: Servo, stage: Stage, goal: int, speed: float, pwm: float) -> None:
-    """Come back from the stop: a carriage that only stuck would not."""
+    """Move away from the stop, which a carriage that is stuck cannot do."""
     servo.aim(goal, speed=stage.speed_units(speed))
     end = monotonic() + 2.0 * _BACK / speed + 1.0
     while abs(stage.travel(servo.state().position - goal)) > _AGREE:

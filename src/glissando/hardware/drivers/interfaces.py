@@ -1,4 +1,4 @@
-"""What a tracker and a stage must do, whoever made them."""
+"""Interfaces of trackers and stages, independent of the manufacturer."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from glissando.hardware.drivers.aurora_setup import Tool
 
 @dataclass(frozen=True)
 class SlideReading:
-    """State of a stage at one moment.
+    """State of a stage at one instant.
 
     Attributes:
-        time: Middle of the exchange, s of the host's monotonic clock.
-        servo_time: The device's own clock, which never wraps here, s; `time` if it has none.
+        time: Midpoint of the exchange, s of the host's monotonic clock.
+        servo_time: Time of the device's own clock, unwrapped, s; equal to `time` if it has none.
         travel: Travel, m.
         speed: Speed, m/s.
-        load: Share of the motor's largest, positive when it pushes towards more travel; 0 if the
-            device does not report it.
+        load: Fraction of the motor's maximum load, positive towards more travel; 0 if the device
+            does not report it.
     """
 
     time: float
@@ -38,14 +38,14 @@ class Tracker(Protocol):
 
     @property
     def tools(self) -> Sequence[Tool]:
-        """What is tracked now."""
+        """Coils that are tracked at present."""
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """How often something went wrong, by its name."""
+        """Number of problems and frames, by name."""
 
     def read(self, timeout: float) -> Frame | None:
-        """The next frame with the time of its measurement; None when none came in time.
+        """Wait for the next frame, with its time of measurement; None after a timeout.
 
         Args:
             timeout: Seconds to wait.
@@ -59,39 +59,39 @@ class LinearStage(Protocol):
     """A stage that slides a sensor: `Slide`, `GcodeSlide`, `RemoteSlide`; a context manager.
 
     Nothing moves before the travel is known. Every method raises DeviceError when the device fails;
-    whatever ends the block, the stage stands still.
+    the stage stops whenever the block ends, also by an exception.
     """
 
     @property
     def counts(self) -> Counter[str]:
-        """How many answers were missing or corrupt, by name."""
+        """Number of missing or corrupt answers, by name."""
 
     def __enter__(self) -> Self:
         """Open the device."""
 
     def __exit__(self, kind: object, problem: BaseException | None, trace: object) -> None:
-        """Stand still and close it."""
+        """Stop the stage and close the device."""
 
     def home_here(self, travel: float) -> None:
-        """Declare the stage's travel now, in metres."""
+        """Declare the present travel of the stage, m."""
 
     def home_at_stop(self) -> None:
-        """Find the travel by the stage's own stop or switch."""
+        """Determine the travel with the stage's mechanical stop or switch."""
 
     def read(self) -> SlideReading:
-        """Where the stage is now."""
+        """Present state of the stage."""
 
     def move(self, travel: float) -> Sequence[SlideReading]:
         """Go to a travel in metres; the readings on the way."""
 
     def follow(self, time: ArrayLike, travel: ArrayLike) -> Iterator[SlideReading]:
-        """Follow a path of travels (K,) m at times (K,) s, the first of them now."""
+        """Follow a path of travels (K,) m at times (K,) s, of which the first is the present."""
 
     def pursue(self, wanted: Callable[[float], float], lasts: float) -> Iterator[SlideReading]:
-        """Follow a path that is decided on the way: travels in m at seconds from now."""
+        """Follow a function of time for `lasts` s: travel in m at a time in s from now."""
 
     def stop(self) -> None:
-        """Stand still, at once."""
+        """Stop at once."""
 
     def abort(self) -> None:
-        """End a motion that another thread waits for, in which it raises DeviceError."""
+        """End the motion that another thread waits for, in which DeviceError is then raised."""

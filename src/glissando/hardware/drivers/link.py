@@ -1,4 +1,4 @@
-"""A byte link to a device, by address: a serial path, or tcp://host:port."""
+"""A byte link to a device at a serial path or tcp://host:port."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from urllib.parse import urlsplit
 from glissando.errors import DeviceError, needing
 from glissando.hardware.drivers.sdk import lost_port
 
-_CONNECT = 5.0  # s for a network device to accept
-_FLOOD = 1 << 20  # bytes between two requests, which no device sends
-_BREAK = 0.3  # s that a BREAK lasts
+_CONNECT = 5.0  # s allowed for a network device to accept
+_FLOOD = 1 << 20  # bytes between two requests, more than any supported device sends
+_BREAK = 0.3  # s, duration of a BREAK
 
 
 class ConnectionLostError(DeviceError):
-    """The link to a device is gone: unplugged, off, or closed at the other end."""
+    """The link to a device is lost: unplugged, switched off, or closed at the other end."""
 
 
 class DeviceTimeoutError(DeviceError):
@@ -39,14 +39,14 @@ class Link:
 
     Args:
         address: Serial path, or tcp://host:port.
-        baud: Rate of a serial line.
+        baud: Baud rate of a serial line.
 
     Attributes:
-        arrived: When the first bytes came after the last that were written, s of time.monotonic().
+        arrived: Time at which the first bytes after the last write arrived, s of time.monotonic().
 
     Raises:
         DeviceError: The address cannot be opened.
-        ConnectionLostError: The link breaks; from any method.
+        ConnectionLostError: The link is lost; from any method.
     """
 
     def __init__(self, address: str, baud: int = 9600):
@@ -56,7 +56,7 @@ class Link:
         self._wire: _Wire = _Tcp(address) if network else _Serial(address, baud)
 
     def write(self, data: bytes) -> None:
-        """Send bytes; bytes that came before and were not read are dropped."""
+        """Send bytes, after discarding those that were received but not read."""
         self._held, dropped = b"", 0
         with self._watched():
             while came := self._wire.receive(0.0):
@@ -70,7 +70,7 @@ class Link:
         self._fresh = True
 
     def read(self, count: int, timeout: float) -> bytes:
-        """Exactly `count` bytes. Raises DeviceTimeoutError unless they come within `timeout` s."""
+        """Exactly `count` bytes. Raises DeviceTimeoutError if they do not arrive in `timeout` s."""
         deadline = time.monotonic() + timeout
         while len(self._held) < count:
             self._wait(deadline, timeout)
@@ -78,7 +78,7 @@ class Link:
         return out
 
     def read_until(self, end: bytes, timeout: float, most: int = 8192) -> bytes:
-        """Bytes up to and with `end`, or `most` of them. Raises DeviceTimeoutError."""
+        """Bytes up to and including `end`, or `most` bytes. Raises DeviceTimeoutError."""
         deadline = time.monotonic() + timeout
         while end not in self._held and len(self._held) < most:
             self._wait(deadline, timeout)
@@ -101,7 +101,7 @@ class Link:
         self._held += came
 
     def send_break(self) -> bool:
-        """Hold a serial line in BREAK, which resets some devices; False on a network."""
+        """Send a BREAK on a serial line, which resets some devices; False if there is none."""
         if not isinstance(self._wire, _Serial) or self._wire.pseudo:
             return False
         self._held = b""
@@ -110,18 +110,18 @@ class Link:
         return True
 
     def set_baud(self, baud: int) -> None:
-        """Change the rate of a serial line; without effect on a network."""
+        """Change the baud rate of a serial line; no effect on a network link."""
         if isinstance(self._wire, _Serial):
             with self._watched():
                 self._wire.port.baudrate = baud
 
     @property
     def baud(self) -> int | None:
-        """The rate of a serial line; None for a network."""
+        """Baud rate of a serial line; None for a network link."""
         return self._wire.port.baudrate if isinstance(self._wire, _Serial) else None
 
     def close(self) -> None:
-        """Close the link; a broken one too."""
+        """Close the link, also a broken one."""
         with contextlib.suppress(OSError):
             self._wire.close()
 
@@ -184,7 +184,7 @@ class _Serial:
             raise DeviceError(_why_closed(path, problem)) from None
         self.pseudo = os.path.realpath(path).startswith("/dev/pts/")
         with contextlib.suppress(OSError, ValueError, NotImplementedError, AttributeError):
-            # USB adapters otherwise gather bytes for up to 16 ms.
+            # USB adapters otherwise collect bytes for up to 16 ms.
             self.port.set_low_latency_mode(True)
 
     def receive(self, timeout: float) -> bytes:

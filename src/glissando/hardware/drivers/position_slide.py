@@ -1,7 +1,7 @@
-"""What stages share that are sent positions and report theirs: homing, moves and paths.
+"""Base class of stages that accept and report positions: homing, moves and paths.
 
-Goals lie inside the stroke and little ahead of the path. A position that the stage cannot have
-reached is asked for again. Whatever ends a motion, the stage stands still.
+Goals lie inside the stroke and slightly ahead of the path. A position that the stage cannot have
+reached is requested again. However a motion ends, the stage stops.
 """
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ from glissando.hardware.drivers.position_stage import PositionStage
 
 _MM = 1e3
 _ATTEMPTS = 4
-_NEAR = 5e-4  # m from its goal where a move has arrived
+_NEAR = 5e-4  # m from its goal at which a move is complete
 _PACE = 0.02  # s between the readings of a move
-_PATIENCE = 2.0  # s after a move should have ended
+_PATIENCE = 2.0  # s allowed beyond the expected duration of a move
 
 
 class StandingError(DeviceError):
-    """The stage stands, or hears nothing any more: there is nothing to stop."""
+    """The stage is already at rest, or no longer receives commands: no stop is needed."""
 
 
 class PositionSlide:
-    """A stage that goes to positions of its own, to be used in a with-block.
+    """A stage commanded in positions of its device's own frame, used as a context manager.
 
     Args:
-        stage: Its limits.
+        stage: Limits of the stage.
 
     Attributes:
-        counts: How many answers were missing or corrupt.
+        counts: Number of missing or corrupt answers.
 
     Raises:
-        DeviceError: From any method: the device fails, or the travel is not known yet.
+        DeviceError: From any method: the device fails, or the travel is not yet known.
     """
 
-    ahead = 3  # periods that a streamed goal is ahead of the path's now
+    ahead = 3  # periods by which a streamed goal leads the path
     rate = 20.0  # Hz, of goals and readings
-    least = 2e-6  # m: shorter steps are not sent
+    least = 2e-6  # m, shortest step that is sent
 
     def __init__(self, stage: PositionStage) -> None:
         self.stage = stage
@@ -70,45 +70,45 @@ class PositionSlide:
         raise NotImplementedError
 
     def _place(self) -> tuple[float, float]:
-        """A time.monotonic(), s, and the device's own position then, m."""
+        """A time.monotonic(), s, and the device's own position at that time, m."""
         raise NotImplementedError
 
     def _home_place(self) -> float:
-        """The device's position, m, where the travel is `home`, found by itself."""
+        """Home the device; its own position, m, at which the travel is `home`."""
         raise NotImplementedError
 
     def _aim(self, place: float, speed: float) -> None:
-        """Have the device go to a position of its own, m, at a speed in m/s."""
+        """Command the device to go to its own position `place`, m, at a speed in m/s."""
         raise NotImplementedError
 
     def _stands(self, reading: SlideReading) -> bool:
-        """Whether the device rests where it was read."""
+        """Whether the device is at rest at a reading."""
         raise NotImplementedError
 
     def stop(self) -> None:
-        """Stand still at once."""
+        """Stop at once."""
         raise NotImplementedError
 
     def abort(self) -> None:
-        """End the motion that another thread waits for; that raises DeviceError there."""
+        """End the motion that another thread waits for, in which DeviceError is then raised."""
         self._aborted = True
 
     def _forget(self) -> None:
-        """The travel is not known any more."""
+        """Mark the travel as unknown."""
         self._zero = None
 
     def home_here(self, travel: float) -> None:
-        """Declare the stage's travel now, in metres.
+        """Declare the present travel of the stage, m.
 
         Raises:
-            DeviceError: No two answers of where it is agree: it moves, or answers are damaged.
+            DeviceError: Successive positions disagree: the stage moves, or answers are damaged.
         """
         self.stage.require_inside(travel)
         self._zero = self._standing_place() - self.stage.direction * travel
         self._last = None
 
     def _standing_place(self) -> float:
-        """The device's own position, m, as two answers in turn agree on it."""
+        """Own position of the device at rest, m, confirmed by two successive answers."""
         now = self._place()[1]
         for _ in range(_ATTEMPTS):
             before, now = now, self._place()[1]
@@ -121,7 +121,7 @@ class PositionSlide:
         )
 
     def home_at_stop(self) -> None:
-        """Find the travel by the device's own home, then enter the stroke."""
+        """Home the device, then move into the stroke."""
         if self.stage.home is None:
             raise DeviceError(
                 "The stage has no home of its own; give its travel there as `home`, or say where "
@@ -133,9 +133,9 @@ class PositionSlide:
         self.move(float(np.clip(self.read().travel, *self.stage.stroke)))
 
     def read(self) -> SlideReading:
-        """Where the stage is now; its speed is that since the reading before.
+        """Present state of the stage; its speed is the mean since the last reading.
 
-        Lines may be without a checksum: a position that the stage cannot have reached is asked for
+        Answers may lack a checksum: a position that the stage cannot have reached is requested
         again.
         """
         if self._aborted:
@@ -166,7 +166,7 @@ class PositionSlide:
         return way <= 1.5 * self.stage.speed * (now.time - self._measured_after(last)) + _NEAR
 
     def _measured_after(self, last: SlideReading) -> float:
-        """A time before which the last reading was not measured."""
+        """Time before which the last reading cannot have been measured."""
         return last.time
 
     def move(self, travel: float) -> list[SlideReading]:
@@ -180,21 +180,21 @@ class PositionSlide:
             return [start, *self._until_rest(travel, lasts)]
 
     def follow(self, time: ArrayLike, travel: ArrayLike) -> Iterator[SlideReading]:
-        """Follow a path, straight between its points, yielding readings.
+        """Follow a piecewise linear path, and yield readings.
 
         Args:
-            time: Times (K,), s; the first is now.
-            travel: Travels (K,) at these times, m; the stage goes to the first before.
+            time: Times (K,), s; the first is the present.
+            travel: Travels (K,) at these times, m; the stage first moves to the first of them.
         """
         times, places = self.stage.path(time, travel)
         self.move(float(places[0]))
         yield from self.pursue(lambda t: np.interp(t, times, places), times[-1])
 
     def pursue(self, wanted: Callable[[float], float], lasts: float) -> Iterator[SlideReading]:
-        """Follow a path that is decided on the way, yielding readings; at its end, rest.
+        """Follow a function of time, and yield readings; at the end the stage stops.
 
         Args:
-            wanted: The travel in m at a time in s from now, up to three periods after the end.
+            wanted: Travel in m at a time in s from now, up to `ahead` periods after the end.
             lasts: Duration, s.
         """
         ahead = self.ahead / self.rate
@@ -217,7 +217,7 @@ class PositionSlide:
             yield from self._until_rest(last, 0.5)
 
     def _go(self, travel: float, speed: float, since: float) -> float:
-        """Aim at a travel, unless it is next to nothing; where the last goal is now, m."""
+        """Send a goal unless it is within `least` of the last one; the goal in effect, m."""
         if abs(travel - since) < self.least:
             return since
         self._aim(self._require_home() + self.stage.direction * travel, speed)
@@ -255,7 +255,7 @@ class PositionSlide:
 
 
 class _standing_still:  # noqa: N801
-    """After any exception inside, the stage stands still."""
+    """Context that stops the stage after any exception inside."""
 
     def __init__(self, slide: PositionSlide) -> None:
         self._slide = slide

@@ -1,4 +1,4 @@
-"""What every stage states: its stroke, its limits, and paths inside them."""
+"""Settings of every stage: its stroke, its limits, and paths that satisfy them."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ class PositionStage:
     """Limits of a stage.
 
     Attributes:
-        stroke: Travels (low, high) that a command may ask for, m.
-        direction: 1 if travel grows with the stage's own position, else −1.
-        home: Travel after the stage has homed itself, if it does, m.
-        speed: Largest speed that is commanded, m/s.
-        acceleration: Largest acceleration that is commanded or that a path may ask for, m/s².
-        lag: Distance from its path at which the stage is stopped, m.
+        stroke: Travels (low, high) between which commands are allowed, m.
+        direction: 1 if travel grows with the device's own position, else −1.
+        home: Travel after the device has homed itself, m; None if it cannot.
+        speed: Largest commanded speed, m/s.
+        acceleration: Largest acceleration that is commanded or planned, m/s².
+        lag: Deviation from its path at which the stage is stopped, m.
 
     Raises:
-        DeviceError: A value is impossible.
+        DeviceError: A value is out of range.
     """
 
     stroke: tuple[float, float]
@@ -64,7 +64,7 @@ class PositionStage:
 
     @classmethod
     def from_table(cls, table: Table) -> Self:
-        """The stage of a TOML table with the names of this class. Raises DeviceError."""
+        """Read a stage from a TOML table with the attributes as keys. Raises DeviceError."""
         low, high = table.vector("stroke", 2)
         stage = cls(
             stroke=(float(low), float(high)),
@@ -80,11 +80,11 @@ class PositionStage:
 
     @classmethod
     def _own(cls, table: Table) -> dict[str, Any]:
-        """What else the table says of a stage of this kind."""
+        """Read the attributes of a subclass from the table."""
         return {}
 
     def require_allowed(self, speed: float) -> None:
-        """Raise DeviceError unless the stage allows a speed in m/s."""
+        """Raise DeviceError unless a speed in m/s is positive and at most the stage's limit."""
         if not 0.0 < speed <= self.speed * (1.0 + 1e-6):
             raise DeviceError(
                 f"{1e3 * speed:.4g} mm/s is asked for; this stage allows {1e3 * self.speed:g} "
@@ -101,7 +101,7 @@ class PositionStage:
             )
 
     def path(self, time: ArrayLike, travel: ArrayLike) -> tuple[Array, Array]:
-        """A path as arrays, its times from zero.
+        """Check a path; its times, shifted to begin at zero, and travels as arrays.
 
         Args:
             time: Times (K,), s.
@@ -128,7 +128,7 @@ class PositionStage:
 
 
 def optional_number(table: Table, key: str) -> float | None:
-    """A finite number of either sign, or None where the key is absent."""
+    """Finite number of either sign, or None if the key is absent."""
     if table.peek(key) is None:
         table.skip(key)
         return None

@@ -1,4 +1,4 @@
-"""A stage that another program drives: goals out, positions in, over ROS 2 or OpenIGTLink."""
+"""A stage that another program drives, by goals and positions over ROS 2 or OpenIGTLink."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from glissando.hardware.drivers.position_stage import PositionStage
 from glissando.model.table import Table
 
 MESSAGES = ("joint_state", "float64_array")
-_FIRST = 5.0  # s for the first position to come
-_PATIENCE = 2.0  # s for a motion to stop
-_STILL = 2e-3  # m/s: slower is at rest
-_FAR = 20.0  # m: no stage of a laboratory
-_LOOK = 0.002  # s
-_AGAIN = 0.1  # s after which a stage that has not set out is sent its goal again
+_FIRST = 5.0  # s allowed for the first position to arrive
+_PATIENCE = 2.0  # s allowed for a motion to stop
+_STILL = 2e-3  # m/s, speed below which the stage is at rest
+_FAR = 20.0  # m, beyond any laboratory stage
+_LOOK = 0.002  # s between polls
+_AGAIN = 0.1  # s at rest after which the goal is sent again
 
 
 @dataclass(frozen=True)
 class RemoteStage(PositionStage):
     """A stage behind a ROS 2 graph or an OpenIGTLink peer.
 
-    Its `home` is the travel where its own position is zero, if it has homed itself.
+    `home` is the travel at its own position zero, if it has homed itself.
 
     Attributes:
-        command: Topic or device that goals are sent to; by default as `peer` names it.
-        measured: Topic or device that positions come from; by default as `peer` names it.
-        joint: Name of the joint in a JointState; empty for its first.
-        message: What a goal in ROS 2 is, of `MESSAGES`.
+        command: Topic or device to which goals are sent; the peer's default if empty.
+        measured: Topic or device of the measured positions; the peer's default if empty.
+        joint: Name of the joint in a JointState; empty for the first one.
+        message: Type of a goal message in ROS 2, one of `MESSAGES`.
         silence: Seconds without a position after which the stage is stopped.
 
     Raises:
-        DeviceError: A value is impossible.
+        DeviceError: A value is out of range.
     """
 
     command: str = ""
@@ -64,41 +64,41 @@ class RemoteStage(PositionStage):
 
 
 class StagePeer(Protocol):
-    """The program that drives a stage; a context manager."""
+    """Connection to the program that drives a stage; a context manager."""
 
     counts: Counter[str]
 
     def __enter__(self) -> Self:
-        """Join the peer."""
+        """Connect to the peer."""
 
     def __exit__(self, *raised: object) -> None:
-        """Leave it."""
+        """Disconnect."""
 
     def positions(self) -> list[tuple[float, float]]:
-        """Times of time.monotonic(), s, and positions, m, that have come; never waits."""
+        """Times, s of time.monotonic(), and positions, m, that have arrived; does not wait."""
 
     def send(self, place: float, speed: float) -> None:
-        """Send a goal: a position, m, and the speed towards it, m/s and signed."""
+        """Send a goal: a position, m, and the signed speed towards it, m/s."""
 
     @property
     def problem(self) -> str:
-        """Why nothing comes, as a phrase; empty while all is well."""
+        """Reason, as a phrase, why no positions arrive; empty without a problem."""
 
 
 class RemoteSlide(PositionSlide):
-    """A stage behind a peer, to be used in a with-block; it stands still afterwards.
+    """A stage behind a peer, used as a context manager; at rest after the block.
 
-    Each reading is a position that came anew. If none comes for as long as its `silence`, the stage
-    is sent the last one as its goal, and its travel is not known any more. A stage that stands
-    where it was when it was sent a goal is sent it again: the first message in a ROS 2 graph is
-    lost where the other node does not know of its publisher yet.
+    Each reading waits for a new position. If none arrives within `silence`, the last position is
+    sent as the goal, and the travel becomes unknown. A goal is sent again to a stage that remains
+    at rest: in a ROS 2 graph, messages are lost until the other node has discovered their
+    publisher.
 
     Args:
-        stage: Its limits.
-        peer: Who drives it.
+        stage: Limits of the stage.
+        peer: Connection to the program that drives it.
 
     Attributes:
-        counts: Positions that were 'invalid', 'stale' or 'corrupt', and what the peer counts.
+        counts: Positions that were 'invalid', 'stale' or 'corrupt', and events of the peer.
     """
 
     ahead, rate, least = 1, 50.0, 0.0
@@ -108,7 +108,7 @@ class RemoteSlide(PositionSlide):
         super().__init__(stage)
         self._peer, self.counts = peer, peer.counts
         self._newest = -np.inf, np.nan
-        self._former = self._since = -np.inf  # when the positions before the newest, and last, came
+        self._former = self._since = -np.inf  # times of the positions before newest and last
         self._goal: tuple[float, float] | None = None
 
     def __enter__(self) -> Self:
@@ -134,18 +134,18 @@ class RemoteSlide(PositionSlide):
         return self._newest
 
     def _measured_after(self, last: SlideReading) -> float:
-        """When the position before the last reading's came.
+        """Time of the position before that of the last reading.
 
-        After a stall of the host or the net several come at once, of which the first was measured
-        long before.
+        After a stall of the host or the network several positions arrive at once, the first of
+        which was measured long before.
         """
         return min(last.time, self._since)
 
     def _join(self, patience: float) -> None:
-        """Wait until positions come and goals arrive.
+        """Wait until positions arrive and goals can be sent.
 
-        In a ROS 2 graph the driver's positions may come before it knows of this publisher of goals,
-        and what is sent until then is lost.
+        In a ROS 2 graph the driver's positions may arrive before the driver has discovered the
+        publisher of goals; goals sent earlier are lost.
         """
         end = monotonic() + patience
         self._wait(patience)
@@ -158,7 +158,7 @@ class RemoteSlide(PositionSlide):
             )
 
     def _wait(self, patience: float) -> None:
-        """Wait for a new position. Raises DeviceError when none comes in time."""
+        """Wait for a new position. Raises DeviceError if none arrives in time."""
         last, end = self._newest[0], monotonic() + patience
         while True:
             for time, place in self._peer.positions():
@@ -195,9 +195,9 @@ class RemoteSlide(PositionSlide):
         return abs(reading.speed) < _STILL
 
     def stop(self) -> None:
-        """Have the stage hold where it was last, and wait until it does."""
+        """Command the last position as the goal, and wait until the stage is at rest."""
         if self._goal is None:
-            return  # nobody has moved it from here
+            return  # no goal was sent, so nothing moves the stage from here
         end, hold = monotonic() + _PATIENCE, self._newest[1]
         while True:
             self._peer.send(hold, 0.0)

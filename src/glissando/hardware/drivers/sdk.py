@@ -1,4 +1,4 @@
-"""The official Dynamixel SDK's port: errors as sentences, and no busy waiting."""
+"""Port of the official Dynamixel SDK, with readable errors and without busy waiting."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from glissando.errors import DeviceError, needing
 
 
 def lost_port() -> tuple[type[Exception], ...]:
-    """The exceptions that pyserial raises when its port goes away."""
+    """Exceptions that pyserial raises when its port disappears."""
     try:
         import termios
     except ImportError:  # Windows
@@ -18,14 +18,14 @@ def lost_port() -> tuple[type[Exception], ...]:
 
 
 def opened(address: str, baud: int) -> tuple[Any, Any]:
-    """The SDK's port and packet handler. Raises DeviceError if it does not open."""
+    """Open the SDK's port; port and packet handler. Raises DeviceError."""
     with needing("The slide needs dynamixel-sdk", "hardware", DeviceError):
         from dynamixel_sdk import PacketHandler, PortHandler
     port = PortHandler(address)
     try:
         ready = port.setBaudRate(baud)
-        if ready and os.name == "posix":  # Windows opens ports for one program only
-            port.ser.exclusive = True  # another one would switch the torque off
+        if ready and os.name == "posix":  # Windows opens a port for one program only
+            port.ser.exclusive = True  # another program would switch the torque off
     except lost_port() as problem:
         raise DeviceError(
             f"The port {address} cannot be opened ({problem}); check its name, your rights to it, "
@@ -33,5 +33,5 @@ def opened(address: str, baud: int) -> tuple[Any, Any]:
         ) from None
     if not ready:
         raise DeviceError(f"The SDK knows no rate of {baud} baud; give 57600 or 1000000, say.")
-    port.ser.timeout = 0.002  # wait for bytes instead of asking for them all the time
+    port.ser.timeout = 0.002  # block until bytes arrive instead of polling continuously
     return port, PacketHandler(2.0)

@@ -1,7 +1,7 @@
-"""The stage that slides the sensor: homing, moves and paths inside its limits, and readings.
+"""Driver of the stage that slides the sensor: homing, moves, paths and readings.
 
-Nothing moves before the stage is home, and nothing is commanded outside its stroke. While it moves,
-the servo's own watchdog is on: silence of the host, for whatever reason, stops the motion.
+Nothing moves before the stage is homed, and no goal lies outside the stroke. During a motion the
+servo's own watchdog is on: it stops the motion if the host sends nothing, for whatever reason.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from glissando.hardware.drivers.interfaces import SlideReading
 from glissando.hardware.drivers.stage import Stage
 
 _PACE = 0.01  # s between the readings of a move
-_PATIENCE = 2.0  # s after a move should have ended
-_NEAR = 5e-4  # m from its goal where a move has arrived
-_STILL = 8  # ticks that two readings of a stage at rest may differ by
+_PATIENCE = 2.0  # s allowed beyond the expected duration of a move
+_NEAR = 5e-4  # m from its goal at which a move is complete
+_STILL = 8  # ticks by which two readings of a stage at rest may differ
 _BOOT = 5.0  # s within which a servo must answer after a reboot
-_AHEAD = 3  # periods that a streamed goal is ahead of the path's now
+_AHEAD = 3  # periods by which a streamed goal leads the path
 
 
 class Slide:
-    """A stage, to be used in a with-block; it stands still afterwards.
+    """A stage with a servo, used as a context manager; at rest after the block.
 
     Every method raises DeviceError when the servo stops answering, refuses, switches off or loses
     its position.
 
     Args:
         address: Serial path.
-        stage: What the servo moves.
+        stage: The stage that the servo moves.
 
     Attributes:
-        counts: How many answers were missing, corrupt or stale.
+        counts: Number of missing, corrupt or stale answers.
     """
 
     def __init__(self, address: str, stage: Stage) -> None:
@@ -67,7 +67,7 @@ class Slide:
             if not self.stage.hold:
                 self._servo.write(dynamixel.TORQUE, (0, 1), check_error=False)
         except DeviceError:
-            if problem is None:  # else the first sentence is the better one
+            if problem is None:  # otherwise the first error is more informative
                 raise
         finally:
             self._servo.close()
@@ -84,10 +84,10 @@ class Slide:
         return self._zero is not None
 
     def home_here(self, travel: float) -> None:
-        """Declare the stage's travel now, in metres.
+        """Declare the present travel of the stage, m.
 
         Raises:
-            DeviceError: Two readings of where it is differ: it moves, or answers are damaged.
+            DeviceError: Two successive positions differ: the stage moves, or answers are damaged.
         """
         self.stage.require_inside(travel)
         self._servo.power()
@@ -100,15 +100,15 @@ class Slide:
         self._zero = places[1] - self.stage.ticks(travel)
 
     def home_at_stop(self, *, speed: float = 0.004, pwm: float = 0.25) -> None:
-        """Find home by touching the mechanical stop twice, gently, then enter the stroke.
+        """Home by touching the mechanical stop twice, gently, then move into the stroke.
 
         Args:
-            speed: Of the approach, m/s.
-            pwm: Share of the motor's voltage it may use [inferred: enough to move, too little to
-                harm or to overload; try it with a hand on the power switch].
+            speed: Speed of approach, m/s.
+            pwm: Fraction of the motor's voltage that it may use [inferred: enough to move, too
+                little to harm or to overload; try it with a hand on the power switch].
 
         Raises:
-            DeviceError: The stage has no stop, or it was not met.
+            DeviceError: The stage has no stop, or it was not found.
         """
         home = self.stage.home
         if home is None:
@@ -125,7 +125,7 @@ class Slide:
         self.move(float(np.clip(home, *self.stage.stroke)), speed=speed)
 
     def read(self) -> SlideReading:
-        """Where the stage is now."""
+        """Present state of the stage."""
         zero = self._require_home()
         state, stage = self._servo.state(), self.stage
         return SlideReading(
@@ -139,12 +139,12 @@ class Slide:
     def move(
         self, travel: float, *, speed: float | None = None, acceleration: float | None = None
     ) -> list[SlideReading]:
-        """Go to a travel by the servo's own trapezoid of speed.
+        """Move to a travel with the servo's own trapezoidal speed profile.
 
         Args:
             travel: Goal, m.
-            speed: Largest speed, m/s; the stage's by default.
-            acceleration: Its acceleration, m/s²; the stage's by default.
+            speed: Largest speed, m/s; that of the stage if None.
+            acceleration: Acceleration of the profile, m/s²; that of the stage if None.
 
         Returns:
             The readings on the way.
@@ -166,14 +166,14 @@ class Slide:
     def follow(
         self, time: ArrayLike, travel: ArrayLike, *, rate: float = 50.0
     ) -> Iterator[SlideReading]:
-        """Follow a path, straight between its points, yielding readings.
+        """Follow a piecewise linear path, and yield readings.
 
-        The stage goes to the first travel before. Then a goal a little ahead on the path is sent
-        `rate` times a second, so that the stage never has far to go by itself. A loop that takes no
-        reading for longer than the watchdog's time stops the stage.
+        The stage first moves to the first travel. Then `rate` times a second a goal slightly ahead
+        on the path is sent, so that each goal is close. If the loop over the readings pauses for
+        longer than the watchdog's time, the stage stops.
 
         Args:
-            time: Times (K,), s; the first is now.
+            time: Times (K,), s; the first is the present.
             travel: Travels (K,) at these times, m.
             rate: Goals a second.
 
@@ -188,15 +188,15 @@ class Slide:
     def pursue(
         self, wanted: Callable[[float], float], lasts: float, *, rate: float = 50.0
     ) -> Iterator[SlideReading]:
-        """Follow a path that is decided on the way, yielding readings; at its end, rest.
+        """Follow a function of time, and yield readings; at the end the stage stops.
 
         Args:
-            wanted: The travel in m at a time in s from now, up to three periods after the end.
+            wanted: Travel in m at a time in s from now, up to three periods after the end.
             lasts: Duration, s.
             rate: Goals a second.
 
         Raises:
-            DeviceError: As `follow` does, when it happens.
+            DeviceError: As for `follow`, raised when it occurs.
         """
         self._require_paced(rate)
         with self._moving():
@@ -214,20 +214,20 @@ class Slide:
             yield from self._until_rest(last, 0.0)
 
     def _chase(self, aim: float, last: SlideReading, now: float, ahead: float) -> None:
-        """Aim a little ahead on the path, at the speed that arrives there in time."""
+        """Send a goal slightly ahead on the path, at the speed that reaches it in time."""
         self.stage.require_inside(aim)
         here = last.travel + last.speed * (now - last.time)
-        # Up to a tenth faster than allowed on a path, to catch up with it.
+        # Up to a tenth faster than the limit of a path, to catch up with it.
         speed = min(abs(aim - here) / ahead, 1.1 * self.stage.speed)
         self._aim(aim, self.stage.speed_units(speed), 0)
 
     def abort(self) -> None:
-        """End the motion that another thread waits for; that raises DeviceError there."""
+        """End the motion that another thread waits for, in which DeviceError is then raised."""
         if self._open is not None:
             self._open.aborted = True
 
     def stop(self) -> None:
-        """Stand still, at once, and hold; without torque if the servo will not."""
+        """Stop at once and hold the position; if that fails, switch the torque off."""
         if not self._servo.halt():
             self._zero = None
 
@@ -294,7 +294,7 @@ class Slide:
 
     @contextmanager
     def _moving(self, pwm: float = 1.0) -> Iterator[None]:
-        """The watchdog is on; after any exception the stage stands still."""
+        """Switch the watchdog on; stop the stage after any exception inside."""
         servo = self._servo
         if not servo.read(dynamixel.TORQUE, 1).data[0]:
             self._zero = None
@@ -314,9 +314,9 @@ class Slide:
         servo.write(dynamixel.WATCHDOG, (0, 1))
 
     def _break_off(self, problem: BaseException) -> None:
-        """Stand still after an exception; raises a better sentence if the watchdog was first."""
+        """Stop after an exception; raise a more informative error if the watchdog stopped first."""
         servo = self._servo
-        if isinstance(problem, NoAnswerError):  # it may hear us all the same: ask nothing more
+        if isinstance(problem, NoAnswerError):  # it may still receive: write only
             self._zero = None
             with suppress(DeviceError):
                 servo.write(dynamixel.TORQUE, (0, 1), check_error=False)

@@ -1,4 +1,4 @@
-"""A stage: its screw, its limits, its home, and the servo's units for all of these."""
+"""A lead-screw stage: its screw, limits and home, and conversion to the servo's units."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from glissando.hardware.drivers.position_stage import PositionStage
 from glissando.io.toml_table import read_toml
 from glissando.model.table import Table
 
-TICKS = 4096  # a revolution
-_RPM = 0.229  # a unit of speed
-_RPM2 = 214.577  # rev/min², a unit of acceleration
+TICKS = 4096  # per revolution
+_RPM = 0.229  # unit of speed
+_RPM2 = 214.577  # rev/min², unit of acceleration
 _MOST_UNITS = 265  # speed: 60.7 rpm
 _MOST_ACCELERATION = 32767
 _MOST_TICKS = 1_000_000  # of the servo's ±1,048,575 in extended position mode
@@ -26,18 +26,18 @@ _MOST_TICKS = 1_000_000  # of the servo's ±1,048,575 in extended position mode
 class Stage(PositionStage):
     """A carriage on a lead screw that an XL430-W250 turns.
 
-    Its `direction` is 1 if travel grows while the servo turns counter-clockwise; its `home` is the
-    travel at a mechanical stop outside the stroke.
+    `direction` is 1 if travel grows while the servo turns counter-clockwise; `home` is the travel
+    at a mechanical stop outside the stroke.
 
     Attributes:
-        lead: Travel a revolution, m.
+        lead: Travel per revolution, m.
         hold: Whether the torque stays on at the end.
-        watchdog: Silence after which a moving servo stops by itself, s.
-        id: The servo's address on its bus.
-        baud: Rate of its serial line.
+        watchdog: Seconds without a command after which a moving servo stops by itself.
+        id: ID of the servo on its bus.
+        baud: Baud rate of its serial line.
 
     Raises:
-        DeviceError: A value is impossible, such as a speed above the servo's 60.7 rpm.
+        DeviceError: A value is out of range, such as a speed above the servo's 60.7 rpm.
 
     >>> Stage(lead=0.002, stroke=(0.0, 0.06))
     Traceback (most recent call last):
@@ -77,7 +77,7 @@ class Stage(PositionStage):
 
     @classmethod
     def load(cls, path: Path, key: str = "slide") -> Self:
-        """The stage of a TOML file, in its table `key`. Raises DeviceError."""
+        """Read a stage from table `key` of a TOML file. Raises DeviceError."""
         table = read_toml(path, DeviceError).subtable(key)
         return cls.from_table(table)
 
@@ -92,7 +92,7 @@ class Stage(PositionStage):
         }
 
     def require_speed(self, speed: float) -> None:
-        """Raise DeviceError unless a speed is above zero and the servo can turn as fast."""
+        """Raise DeviceError unless a speed is positive and the servo can reach it."""
         if not speed > 0.0:
             raise DeviceError(f"A speed of {speed:g} m/s cannot be; give one above zero.")
         rpm, most = 60.0 * speed / self.lead, _MOST_UNITS * _RPM
@@ -104,7 +104,7 @@ class Stage(PositionStage):
             )
 
     def require_acceleration(self, acceleration: float) -> None:
-        """Raise DeviceError unless the servo's register can hold this acceleration."""
+        """Raise DeviceError unless the servo's register can represent this acceleration."""
         unit = _RPM2 / 3600.0 * self.lead
         if not 0.5 * unit <= acceleration <= _MOST_ACCELERATION * unit:
             raise DeviceError(
@@ -114,32 +114,32 @@ class Stage(PositionStage):
             )
 
     def require_allowed(self, speed: float) -> None:
-        """Raise DeviceError unless the servo reaches a speed and the stage allows it."""
+        """Raise DeviceError unless the servo can reach a speed and the stage allows it."""
         self.require_speed(speed)
         super().require_allowed(speed)
 
     def ticks(self, travel: float) -> float:
-        """The ticks, signed, of a travel in metres."""
+        """Signed ticks of a travel in metres."""
         return self.direction * travel / self.lead * TICKS
 
     def travel(self, ticks: float) -> float:
-        """The travel in metres of ticks, signed."""
+        """Signed travel in metres of a number of ticks."""
         return self.direction * ticks / TICKS * self.lead
 
     def speed_units(self, speed: float) -> int:
-        """The register for a speed in m/s; 1 at least, for 0 would mean no limit."""
+        """Register value of a speed in m/s; at least 1, as 0 means no limit."""
         return int(np.clip(round(speed / self.lead * 60.0 / _RPM), 1, _MOST_UNITS))
 
     def speed_of(self, units: float) -> float:
-        """The speed in m/s of a number of the servo's units, signed."""
+        """Signed speed in m/s of a number of the servo's units."""
         return self.direction * units * _RPM / 60.0 * self.lead
 
     def acceleration_units(self, acceleration: float) -> int:
-        """The register for an acceleration in m/s²; 1 at least, for 0 would mean no limit."""
+        """Register value of an acceleration in m/s²; at least 1, as 0 means no limit."""
         units = acceleration / self.lead * 3600.0 / _RPM2
         return int(np.clip(round(units), 1, _MOST_ACCELERATION))
 
     def lasting(self, way: float, speed: float, acceleration: float) -> float:
-        """Seconds from rest to rest over `way` m, by a trapezoid or a triangle."""
+        """Seconds from rest to rest over `way` m with a trapezoidal or triangular speed profile."""
         way, top = abs(way), min(speed, math.sqrt(abs(way) * acceleration))
         return way / top + top / acceleration if way else 0.0

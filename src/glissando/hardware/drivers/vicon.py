@@ -1,11 +1,11 @@
-"""Motion capture while it runs: Vicon Tracker's UDP object stream.
+"""Live motion capture by the UDP object stream of Vicon Tracker.
 
 A datagram, little-endian: frame number u32, count of items u8; an item: kind u8 (0 an object), size
 u16 (72), name of 24 bytes padded with NUL, translation in mm and Euler angles XYZ in rad, six
-float64. Layout: several independent public parsers agree. [inferred], to be verified on hardware:
-angles are intrinsic, R = Rx Ry Rz; an object that is not seen has six zeros or is absent; what
-follows the last item is padding; a frame that does not fit one datagram comes in several with the
-same number.
+float64. Several independent public parsers agree on this layout. [inferred], to be verified on
+hardware: angles are intrinsic, R = Rx Ry Rz; an object that is not visible has six zeros or is
+absent; bytes after the last item are padding; a frame that does not fit one datagram arrives in
+several with the same number.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from glissando.geometry.se3 import Array
 PORT = 51001
 _FRAME, _ITEM, _OBJECT = struct.Struct("<IB"), struct.Struct("<BH"), struct.Struct("<24s6d")
 _OBJECT_KIND = 0
-_FARTHEST_MM = 1e6  # a kilometre: no volume is as large, so the bytes are no pose
-_BACK, _AHEAD = 100, 10_000  # frames: a jump longer than these is a Tracker started again
-_BUFFER = 1 << 20  # bytes the system may keep while the reader is busy
+_FARTHEST_MM = 1e6  # a kilometre, larger than any volume: such bytes are not a pose
+_BACK, _AHEAD = 100, 10_000  # frames: a larger jump shows that Tracker was restarted
+_BUFFER = 1 << 20  # bytes that the system buffers while the reader is busy
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class ViconFrame:
 
     Attributes:
         number: The frame's number.
-        received: Monotonic time of the host, s; later than exposure by Tracker's latency.
-        poses: T_wo (4, 4) in metres, by name.
-        missing: Names of objects that were not seen.
+        received: Time of arrival, monotonic s; later than exposure by Tracker's latency.
+        poses: T_wo (4, 4) in metres, by name of the object.
+        missing: Names of objects that were not visible.
         problems: How often bytes were 'truncated', items 'unknown' or objects 'malformed'.
     """
 
@@ -53,11 +53,11 @@ class ViconFrame:
 
 
 def parse_packet(data: bytes, received: float) -> ViconFrame | None:
-    """The frame in a datagram, or None when it holds no header.
+    """Parse a datagram; None if it is shorter than a header.
 
     Args:
         data: The datagram.
-        received: When it came, monotonic s.
+        received: Time of arrival, monotonic s.
     """
     if len(data) < _FRAME.size:
         return None
@@ -91,7 +91,7 @@ def parse_packet(data: bytes, received: float) -> ViconFrame | None:
 
 
 def _object(item: bytes) -> tuple[str, Array]:
-    """Name and six numbers of an object; no name when the bytes cannot be one."""
+    """Name and six numbers of an object; an empty name if the bytes are not an object."""
     if len(item) != _OBJECT.size:
         return "", np.zeros(6)
     label, *numbers = _OBJECT.unpack(item)
@@ -102,20 +102,20 @@ def _object(item: bytes) -> tuple[str, Array]:
 
 
 class ViconStream:
-    """Frames as they come on a UDP port: a context manager and an iterator.
+    """Frames received on a UDP port; a context manager and an iterator.
 
     Args:
         port: UDP port; 0 takes any free one.
-        host: Address of this computer to listen on; 0.0.0.0 hears every network.
+        host: Address of this computer to listen on; 0.0.0.0 for all networks.
         timeout: Seconds without a useful datagram after which `read` raises.
 
     Attributes:
-        counts: What went wrong: datagrams 'malformed', items 'truncated', 'unknown' or 'malformed',
-            frames 'lost', 'out of order' or 'repeated' (both dropped), and 'restarted' for a frame
-            number that jumped.
+        counts: Problems by name: datagrams 'malformed', items 'truncated', 'unknown' or
+            'malformed', frames 'lost', 'out of order' or 'repeated' (both dropped), and 'restarted'
+            for a jump of the frame number.
 
     Raises:
-        DeviceError: The port is taken; in `read`, nothing useful came.
+        DeviceError: The port is in use; from `read`, no valid frame arrived.
     """
 
     def __init__(self, port: int = PORT, *, host: str = "127.0.0.1", timeout: float = 2.0) -> None:
@@ -151,7 +151,7 @@ class ViconStream:
             yield self.read()
 
     def read(self) -> ViconFrame:
-        """The next frame newer than the last. Raises DeviceError after `timeout` s."""
+        """Wait for the next frame that is newer. Raises DeviceError after `timeout` s."""
         deadline = time.monotonic() + self.timeout
         refused = 0
         while (data := self._receive(deadline)) is not None:
@@ -166,7 +166,7 @@ class ViconStream:
         raise DeviceError(self._silence(refused))
 
     def _receive(self, deadline: float) -> bytes | None:
-        """A datagram, None when there is none in time."""
+        """Next datagram; None after the deadline."""
         if self._socket is None:
             raise DeviceError("The Vicon stream is closed; use it inside `with ViconStream(port)`.")
         self._socket.settimeout(max(deadline - time.monotonic(), 0.0))
@@ -176,7 +176,7 @@ class ViconStream:
             return None
 
     def _in_order(self, frame: ViconFrame) -> bool:
-        """Whether the frame is new; counts what its number says was lost."""
+        """Whether the frame is new; counts lost frames by the gap in the numbers."""
         names = {*frame.poses, *frame.missing}
         if self._last is None:
             ahead = 1
