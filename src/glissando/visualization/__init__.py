@@ -1,1 +1,1 @@
-"""Figures, films and pages."""
+"""Figures, films and HTML pages of estimates and plans."""

@@ -1,4 +1,4 @@
-"""Forces on the robot as arrows with the ellipsoids of their tips: for figures, films, pages."""
+"""Forces on the robot as arrows with confidence ellipsoids, for figures, films and pages."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.visualization.canvas import MM
 
 FORCE = "#CC79A7"
-"""Colour of arrows where no other has a meaning."""
-_SHARE = 0.15  # of the robot's length, that the round force of the legend is drawn as
-_HEAD, _BARB = 0.2, 0.07  # of an arrow's length: its head, and how far that goes to each side
+"""Colour of arrows where colour has no other meaning."""
+_SHARE = 0.15  # length of the legend's reference arrow, as a fraction of the robot's length
+_HEAD, _BARB = 0.2, 0.07  # length and half-width of an arrow's head, as fractions of its length
 _AROUND = np.linspace(0.0, 2.0 * np.pi, 33)
 
 
 @dataclass(frozen=True)
 class Arrows:
-    """Unknown forces at F times and P places, world frame.
+    """Estimated forces at F times and P arclengths, world frame.
 
     Attributes:
         place: Arclengths (P,), m.
-        origin: Where they act (F, P, 3), m.
+        origin: Points of application (F, P, 3), m.
         force: Means (F, P, 3), N.
         cov: Covariances (F, P, 3, 3), N².
-        unit: The force that `length` stands for, N.
-        length: Its length in the picture, m.
+        unit: Force that an arrow of `length` represents, N.
+        length: Length of that arrow in the picture, m.
     """
 
     place: Array
@@ -43,17 +43,17 @@ class Arrows:
 
     @property
     def words(self) -> str:
-        """What arrows and ellipsoids mean, for a legend."""
+        """Legend of arrows and ellipsoids."""
         return f"force, 95 % ({MM * self.length:.3g} mm: {self.unit:g} N)"
 
     @property
     def scale(self) -> float:
-        """Metres of the picture that stand for a newton."""
+        """Length in the picture per force, m/N."""
         return self.length / self.unit
 
     @property
     def tip(self) -> Array:
-        """Where arrows end (F, P, 3), m."""
+        """Tips of the arrows (F, P, 3), m."""
         return self.origin + self.scale * self.force
 
     def strokes(self) -> Array:
@@ -70,7 +70,7 @@ class Arrows:
         return np.stack([*parts, gap], axis=-2)
 
     def rings(self) -> Array:
-        """Main ellipses of the tips' 95 % ellipsoids (F, P, S, 3), m, with a NaN after each."""
+        """Principal ellipses of the 95 % ellipsoids (F, P, S, 3), m, with a NaN after each."""
         axes = SIGMAS_95 * self.scale * half_axes(self.cov)
         tip, lines = self.tip[..., None, :], []
         for i, j in ((0, 1), (1, 2), (2, 0)):
@@ -81,10 +81,10 @@ class Arrows:
 
 
 def arrows_of(posterior: Posterior, times: Array) -> Arrows | None:
-    """The unknown forces at the tip and at the prior's points; None if the prior knows no loads.
+    """Estimated forces at the tip and at the prior's points; None unless it has loads.
 
     Args:
-        posterior: What is shown; forces are those of its nearest time nodes.
+        posterior: Estimate, whose forces are taken at the nearest time nodes.
         times: Times (F,), s.
     """
     prior, grid = posterior.prior, posterior.grid

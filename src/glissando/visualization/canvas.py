@@ -1,7 +1,7 @@
-"""What every figure is drawn on and with: axes, colours, sizes of confidence, legends, files.
+"""Common elements of all figures: canvas, colours, confidence levels, legends and files.
 
-matplotlib is imported when a figure is asked for, not before; figures carry their own Agg canvas,
-so no window opens and no global plotting state changes.
+matplotlib is imported only when a figure is drawn; figures have their own Agg canvas, so no window
+opens and no global plotting state changes.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 MM = 1e3
 INCH = 25.4  # mm
 SIDES = 10.0, 2000.0
-"""Least and largest side of a figure, mm."""
+"""Smallest and largest side of a figure, mm."""
 BAND = float(np.sqrt(chi_square_quantile(0.95, 1)))
-"""Standard deviations to the ends of a band that holds 95 % of one component."""
-AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}  # Okabe and Ito: safe for all eyes
+"""Half-width of the interval that contains 95 % of one component, in standard deviations."""
+AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}  # Okabe and Ito: safe for colour blindness
 SENSORS = ("#E69F00", "#56B4E9", "#FFFFFF", "#CC79A7", "#D55E00", "#000000", "#F0E442", "#009E73")
 MARKERS = "osD^vP*X"
 _STYLE: dict[Any, Any] = {
@@ -38,17 +38,17 @@ _STYLE: dict[Any, Any] = {
     "figure.constrained_layout.w_pad": 0.1,
     "grid.color": "0.85",
     "legend.frameon": False,
-    "pdf.fonttype": 42,  # TrueType, which publishers ask for
+    "pdf.fonttype": 42,  # TrueType, which publishers require
     "svg.fonttype": "none",
-    "svg.hashsalt": "glissando",  # the same names of parts in every file
+    "svg.hashsalt": "glissando",  # the same element names in every file
 }
 Style: TypeAlias = "Mapping[str, Any]"
-"""rcParams that are drawn with, such as {"font.size": 8}."""
+"""rcParams of a figure, such as {"font.size": 8}."""
 NO_STYLE: Style = {}
 
 
 def line_colours(count: int) -> list[Any]:
-    """So many colours that differ on white: those safe for all eyes, beyond six shades of a map."""
+    """Distinct colours on white: colour-blind safe up to six, shades of a colour map beyond."""
     from matplotlib import colormaps
 
     safe = [c for c in SENSORS if c not in ("#FFFFFF", "#000000")]
@@ -57,16 +57,16 @@ def line_colours(count: int) -> list[Any]:
 
 
 def gif_rate(rate: float) -> float:
-    """The rate nearest to one in Hz at which a GIF plays: its frames last whole hundredths of s.
+    """Frame rate of a GIF nearest to a rate in Hz: its frames last whole hundredths of a second.
 
-    Browsers refuse a single hundredth, so that it is 50 Hz at most.
+    The result is at most 50 Hz, because browsers ignore a delay of a single hundredth.
     """
     return 100.0 / max(2, round(100.0 / rate)) * (1.0 - 1e-9)  # Pillow rounds delays down
 
 
 @contextmanager
 def gif_frames(figure: Figure, file: Path, rate: float, dpi: int) -> Iterator[Any]:
-    """A writer of the frames of a GIF, a new file: its `grab_frame` takes what the figure shows."""
+    """Open a writer of a new GIF file, whose `grab_frame` appends the figure as it is."""
     from matplotlib.animation import PillowWriter
 
     writer = PillowWriter(fps=rate)  # type: ignore[arg-type]  # any number will do
@@ -76,7 +76,7 @@ def gif_frames(figure: Figure, file: Path, rate: float, dpi: int) -> Iterator[An
 
 @contextmanager
 def canvas(width: float, height: float, style: Style = NO_STYLE) -> Iterator[Figure]:
-    """An empty figure of that size in inches on its own canvas, and the look while it is filled."""
+    """Create an empty figure of a size in inches on its own canvas; the style applies inside."""
     with needing("Figures need matplotlib", "plot"):
         import matplotlib
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -94,7 +94,7 @@ def panels_on(
     style: Style = NO_STYLE,
     **look: Any,
 ) -> Iterator[Any]:
-    """Axes (R, C) of a new figure of that size, or those that were given, and the look."""
+    """Axes (R, C) of a new figure of `size` in inches, or those given; the style applies inside."""
     if not SIDES[0] <= INCH * min(size) <= INCH * max(size) <= SIDES[1]:
         raise GlissandoError(
             f"A figure of {size[0]:g} × {size[1]:g} inches cannot be; give a size in inches, from "
@@ -113,7 +113,7 @@ def panels_on(
 
 
 def describe(axes: Any, own: bool, entries: dict[str, Any], **look: Any) -> None:
-    """A legend: outside the axes of a figure of our own, else inside those that were given."""
+    """Draw a legend: outside the axes of an `own` figure, else inside the axes that were given."""
     if own:
         legend(axes.figure, entries, **look)
     elif entries:
@@ -121,53 +121,53 @@ def describe(axes: Any, own: bool, entries: dict[str, Any], **look: Any) -> None
 
 
 def legend_entries(axes: Any) -> dict[str, Any]:
-    """What axes label, by its words."""
+    """Legend entries of axes, by label."""
     return dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
 
 
 def legend(figure: Figure, entries: dict[str, Any], **look: Any) -> None:
-    """A legend outside the axes, in which a tuple of lines is one entry."""
+    """Draw a legend outside the axes, in which a tuple of lines is one entry."""
     figure.legend(list(entries.values()), list(entries), handler_map=_tuples(), **look)
 
 
 def _tuples() -> dict[Any, Any]:
-    """How a legend draws a tuple of lines."""
+    """Legend handler that draws a tuple of lines as one entry."""
     from matplotlib.legend_handler import HandlerTuple
 
     return {tuple: HandlerTuple(ndivide=None, pad=0.4)}
 
 
 def require_ending(path: Path) -> None:
-    """Raise GlissandoError unless a file's ending is that of a figure."""
+    """Raise GlissandoError unless a file has the suffix of a figure."""
     if path.suffix.lower() not in (".png", ".pdf", ".svg"):
         raise GlissandoError(f"{str(path)!r} is no figure: end it in .png, .pdf or .svg.")
 
 
 def save_figure(drawn: Any, path: str | Path) -> Path:
-    """Write a figure as its file's ending says, whole or not at all; returns the path.
+    """Write a figure in the format of its file's suffix, completely or not at all; the path.
 
-    The same figure gives the same bytes: no date is written.
+    The same figure gives the same bytes, because no date is written.
 
     Args:
-        drawn: Axes, an array of them as the functions of figures return it, or a figure.
-        path: A .png, .pdf or .svg.
+        drawn: Axes, an array of axes as the functions of figures return it, or a figure.
+        path: Path that ends in .png, .pdf or .svg.
 
     Raises:
-        GlissandoError: Another ending, no room beside the text, or the disk refused.
+        GlissandoError: The suffix is another, the text leaves no room, or writing failed.
     """
     path = Path(path)
     require_ending(path)
     figure = np.ravel(np.asarray(drawn, dtype=object))[0].figure
     undated = {".pdf": "CreationDate", ".svg": "Date"}.get(path.suffix.lower())
     metadata = {undated: None} if undated else None
-    with canvas(1.0, 1.0), new_file(path) as building, _with_room(figure):  # fonts of its style
+    with canvas(1.0, 1.0), new_file(path) as building, _with_room(figure):  # for the style's fonts
         figure.savefig(building, dpi=150, metadata=metadata)
     return path
 
 
 @contextmanager
 def _with_room(figure: Figure) -> Iterator[None]:
-    """Refuse a figure whose text leaves no room for its axes, as it is drawn."""
+    """Raise GlissandoError if the text leaves no room for the axes when the figure is drawn."""
     with warnings.catch_warnings():
         warnings.filterwarnings("error", "constrained_layout not applied")
         try:

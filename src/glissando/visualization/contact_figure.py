@@ -1,4 +1,4 @@
-"""Where and when something touches the robot: a map of evidence over arclength and time."""
+"""Figure of contact evidence over arclength and time."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _MOST = 200  # times of a map
-_LEAST = 10.0  # evidence at least that colours reach to
+_LEAST = 10.0  # smallest upper end of the colour scale, log evidence
 
 
 def mapped_times(posterior: Posterior) -> Array:
-    """Time nodes (K,) of a posterior that a map shows: all, or as many as can be seen apart."""
+    """Time nodes (K,) of a posterior that a map shows: all, or as many as are distinguishable."""
     time = posterior.grid.time
     rows = evenly_chosen(time.size, _MOST)
     return np.asarray(time[rows])
@@ -32,13 +32,13 @@ def contact_figure(
     size: tuple[float, float] = (10.0, 5.6),
     style: Style = NO_STYLE,
 ) -> np.ndarray[Any, Any]:
-    """The evidence of a touch at every arclength and time, and of a touch anywhere.
+    """Draw the evidence of a contact at every arclength and time, and of a contact anywhere.
 
-    Colour is log evidence of a force there over none, where it is above zero. Dots are the
-    likeliest places of times at which something touches the robot.
+    Colour is the log evidence of a force at a point against none, clipped below zero. Dots are the
+    likeliest arclengths at times at which a contact is detected.
 
     Args:
-        scan: Scans of K times, as of `scan_contacts`, or of `ContactScan.over` while they come in.
+        scan: Scans of K times, from `scan_contacts` or, online, `ContactScan.over`.
         size: Width and height, inches.
         style: rcParams to draw with.
 
@@ -60,7 +60,7 @@ def contact_figure(
 
 
 def _draw_map(axes: Axes, scan: ContactScan) -> None:
-    """Evidence over time and arclength, cells between places and times."""
+    """Draw log evidence over time and arclength, one cell for each pair."""
     top = max(float(scan.log_ratio.max()), _LEAST)
     edges = _edges(scan.time), MM * np.maximum(_edges(scan.arclength), 0.0)
     look: dict[str, Any] = {"cmap": "viridis", "vmin": 0.0, "vmax": top, "rasterized": True}
@@ -75,7 +75,7 @@ def _draw_map(axes: Axes, scan: ContactScan) -> None:
 
 
 def _draw_evidence(axes: Axes, scan: ContactScan) -> None:
-    """Evidence of a force anywhere and what it exceeds where something touches."""
+    """Draw the log evidence of a force anywhere, and the threshold of detection."""
     label = f"threshold: one false alarm in {1.0 / scan.false_alarms:.3g}"
     axes.plot(scan.time, scan.evidence, ".-", color="#0072B2", label="evidence anywhere")
     axes.plot(scan.time, scan.threshold, "--", color="#D55E00", label=label)
@@ -84,7 +84,7 @@ def _draw_evidence(axes: Axes, scan: ContactScan) -> None:
 
 
 def _edges(middle: Array) -> Array:
-    """Edges (K + 1,) of cells around their middles (K,); a lone cell is 1 wide."""
+    """Edges (K + 1,) of cells around their centres (K,); a single cell has width 1."""
     if middle.size == 1:
         return middle[0] + np.array([-0.5, 0.5])
     between = 0.5 * (middle[1:] + middle[:-1])

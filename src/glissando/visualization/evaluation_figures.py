@@ -1,4 +1,4 @@
-"""Figures of an evaluation: nominal against actual coverage, and how an online run went."""
+"""Figures of an evaluation: coverage, ranks of the truth, and errors of an online run."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from glissando.visualization.canvas import SENSORS, legend, legend_entries, line
 
 
 def calibration_figure(checks: Sequence[Consistency]) -> Any:
-    """Actual against nominal coverage in %, position and rotation, a line a site.
+    """Draw actual against nominal coverage in % of position and rotation, one line a site.
 
-    The grey band holds a consistent estimate's line over all sites at each level with probability
-    95 %. Below the diagonal an estimate is overconfident.
+    The grey band contains, at each level, the line over all sites of a consistent estimate with
+    probability 95 %. Below the diagonal an estimate is overconfident.
 
     Args:
-        checks: What `check` returns.
+        checks: Results of `check`.
 
     Returns:
-        The axes (1, Q), one a quantity.
+        The axes (1, Q), one for each quantity.
 
     Raises:
-        GlissandoError: matplotlib is not installed, or nothing is of a position or rotation.
+        GlissandoError: matplotlib is not installed, or no position or rotation was checked.
     """
     quantities = calibrated_quantities(checks)
     if not quantities:
@@ -47,7 +47,7 @@ def calibration_figure(checks: Sequence[Consistency]) -> Any:
 
 
 def calibrated_quantities(checks: Sequence[Consistency]) -> list[str]:
-    """The quantities that `calibration_figure` has axes for, of those checked."""
+    """Quantities among those checked that `calibration_figure` draws, one axes each."""
     return [q for q in ("position", "rotation") if any(c.quantity == q for c in checks)]
 
 
@@ -66,17 +66,17 @@ def _draw(axes: Any, checks: Sequence[Consistency]) -> None:
 
 
 def ecdf_figure(checks: Sequence[SimulationCheck]) -> Any:
-    """Distribution functions of ranks less that of uniform ones, a panel an estimator.
+    """Draw the empirical distribution functions of ranks minus uniform, one panel an estimator.
 
-    The grey band holds the lines of all quantities at once with the check's level if confidence is
-    true. A line above it on the left and below on the right is that of an overconfident estimate,
-    the other way round an underconfident one; above or below throughout, a biased one.
+    If the covariances are correct, the grey band contains the lines of all quantities at once with
+    probability `level` of the check. A line above it on the left and below on the right shows an
+    overconfident estimate, the reverse an underconfident one; above or below throughout, a bias.
 
     Args:
-        checks: What is drawn.
+        checks: Results of simulation-based calibration.
 
     Returns:
-        The axes (1, E), one an estimator.
+        The axes (1, E), one for each estimator.
 
     Raises:
         GlissandoError: matplotlib is not installed.
@@ -101,10 +101,10 @@ def ecdf_figure(checks: Sequence[SimulationCheck]) -> Any:
 
 
 def replay_figure(run: Replay) -> Any:
-    """Errors of the newest states and their confidence over time, and latencies by frequency.
+    """Draw errors of the newest states with their confidence over time, and the latencies.
 
     Args:
-        run: What `replay` returns.
+        run: Result of `replay`.
 
     Returns:
         The axes (2, 1).
@@ -144,9 +144,9 @@ def _draw_newest(axes: Any, run: Replay) -> None:
 
 
 def radius95(cov: Array) -> Array:
-    """Distance (…) that 95 % of errors of these covariances (…, 3, 3) stay within.
+    """Radius (…) that contains 95 % of errors with covariances (…, 3, 3).
 
-    The squared distance is taken for a scaled chi-square of the same mean and variance.
+    The squared distance is approximated by a scaled chi-square of the same mean and variance.
     """
     mean = np.einsum("...ii->...", cov)
     square = np.einsum("...ij,...ji->...", cov, cov)

@@ -1,9 +1,9 @@
-"""Figures of a posterior: its confidence everywhere, its errors, and all of them in a folder.
+"""Figures of a posterior: its position uncertainty and its errors, or all of them in a folder.
 
-Lengths are drawn in millimetres, confidence at 95 %: ellipsoids and tubes hold 95 % of positions,
-bands 95 % of a component. Every function takes axes to draw into and a style, rcParams that it
-draws with, and returns the axes. matplotlib is imported when a figure is asked for, not before;
-figures carry their own Agg canvas, so no window opens and no global plotting state changes.
+Lengths are in millimetres and confidence at 95 %: ellipsoids and tubes contain 95 % of positions,
+bands 95 % of a component. Every function accepts axes to draw into and a style (rcParams), and
+returns the axes. matplotlib is imported only when a figure is drawn; figures have their own Agg
+canvas, so no window opens and no global plotting state changes.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ from glissando.visualization.sites import seen_positions, sites_of
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_MOST = 301  # times or arclengths of a map of confidence
-_SAMPLES = 1000  # truth samples drawn a site
+_MOST = 301  # times or arclengths of a map of standard deviations
+_SAMPLES = 1000  # truth samples drawn for each site
 
 
 def confidence_figure(
@@ -52,14 +52,14 @@ def confidence_figure(
     size: tuple[float, float] = (10.0, 5.2),
     style: Style = NO_STYLE,
 ) -> Axes:
-    """The std of position at every arclength and time, and where each sensor was.
+    """Draw the standard deviation of position over arclength and time, and the sensors' paths.
 
-    Colour is the root of the total position variance, at nodes and between them.
+    Colour is the square root of the total position variance, at nodes and between them.
 
     Args:
-        posterior: What is drawn.
-        readings: Streams that were used.
-        ax: Axes to draw into; those of a new figure unless given.
+        posterior: Estimate to draw.
+        readings: Streams that the estimate used.
+        ax: Axes to draw into; None for those of a new figure.
         size: Width and height of a new figure, inches.
         style: rcParams to draw with.
 
@@ -94,7 +94,7 @@ def confidence_figure(
 
 
 def _drawn(nodes: Array, steps: int) -> tuple[Array, Array]:
-    """Where to query and draw; a single node is drawn with a width of 1."""
+    """Points to query, and their coordinates in the figure; a single node is drawn 1 wide."""
     if nodes.size == 1:
         return nodes[[0, 0]], nodes[0] + np.array([-0.5, 0.5])
     at = drawn_at(nodes, steps, _MOST)
@@ -102,7 +102,7 @@ def _drawn(nodes: Array, steps: int) -> tuple[Array, Array]:
 
 
 def _draw_path(axes: Any, stream: Readings, order: int, count: int) -> None:
-    """One sensor's path over time and arclength; markers of sensors in one place alternate."""
+    """Draw a sensor's path over time and arclength; markers of coincident sensors alternate."""
     stream = stream.select(np.argsort(stream.time, kind="stable"))
     time, arclength = stream.time, stream.arclength * MM
     wanted = time[0] + (time[-1] - time[0]) * (np.arange(16) + (order + 0.5) / count) / 16
@@ -122,21 +122,22 @@ def error_figure(
     size: tuple[float, float] | None = None,
     style: Style = NO_STYLE,
 ) -> Any:
-    """Position errors at every truth site over time, each component in its 95 % band.
+    """Draw position errors at every truth site over time, each component with its 95 % band.
 
     Args:
         posterior: The estimate.
-        truth: Streams it is compared with.
-        ax: Axes (S, 3) to draw into, a row a site; those of a new figure unless given.
+        truth: Streams that the estimate is compared with.
+        ax: Axes (S, 3) to draw into, one row a site; None for those of a new figure.
         size: Width and height of a new figure, inches.
         style: rcParams to draw with.
 
     Returns:
-        The axes (S, 3): estimate minus truth in the world frame, mm; the band is of both together.
+        The axes (S, 3): estimate minus truth in the world frame, mm; the band includes the
+        uncertainty of both.
 
     Raises:
-        GlissandoError: No truth position lies on the grid, the axes are not as many, or matplotlib
-            is not installed.
+        GlissandoError: No truth position lies on the grid, the number of axes is wrong, or
+            matplotlib is not installed.
     """
     sites = sites_of(truth, posterior.grid)
     if not sites:
@@ -158,7 +159,7 @@ def error_figure(
 
 
 def _draw_errors(row: Sequence[Any], posterior: Posterior, site: Readings) -> None:
-    """One site's three components, with its name, arclength and RMSE as the title."""
+    """Draw three components at one site, with its name, arclength and RMSE as the title."""
     drawn = site.select(slice(None, None, -(-len(site) // _SAMPLES)))
     estimate = posterior.at(drawn.arclength, drawn.time)
     at = estimate.pose @ drawn.mount
@@ -191,9 +192,9 @@ def _draw_errors(row: Sequence[Any], posterior: Posterior, site: Readings) -> No
 def save_figures(
     posterior: Posterior, readings: Sequence[Readings], truth: Sequence[Readings], folder: Path
 ) -> list[Path]:
-    """Write shape.png, confidence.png and, given truth positions, error.png; their paths.
+    """Write shape.png, confidence.png and, if there is truth of a position, error.png; their paths.
 
-    The folder is made if it is missing. Raises GlissandoError without matplotlib.
+    The folder is created if it is missing. Raises GlissandoError without matplotlib.
     """
     figures = {"shape": shape_figure(posterior, truth)}
     figures["confidence"] = confidence_figure(posterior, readings)

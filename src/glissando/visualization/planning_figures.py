@@ -1,4 +1,4 @@
-"""Figures of a plan and of a sweep of designs, with lengths in millimetres."""
+"""Figures of plans, of sweeps of designs and of sensor placements, with lengths in millimetres."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from glissando.visualization.canvas import (
 )
 
 _PLACES, _TIMES = 60, 81  # points of a map along the body and in time
-_SWING = 10.0  # s of a slide's motion, to draw its reach
+_SWING = 10.0  # s of a slide's motion that are drawn as its reach
 _FRONT = {"std": "best set found", "bound": "no set goes below"}
 _LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
@@ -36,16 +36,16 @@ def plan_figure(
 ) -> Any:
     """Draw the predicted uncertainty over arclength and time for each path.
 
-    The colour is the root of the total position variance, mm; a white line is the path of the
-    sensor, a dashed outline a zone.
+    The colour is the square root of the total position variance, mm; a white line is the path of
+    the sensor, a dashed outline a zone.
 
     Args:
         problem: The planning problem.
         paths: Arclengths (T,) at the problem's `times` by name, m.
-        zones: The zones that count.
+        zones: Zones of the objective.
 
     Returns:
-        The axes (1, P).
+        The axes (1, P), one for each path.
 
     Raises:
         GlissandoError: matplotlib is not installed.
@@ -80,7 +80,7 @@ def plan_figure(
 def _maps(
     problem: PlanningProblem, paths: Mapping[str, Array]
 ) -> tuple[Array, Array, dict[str, Array]]:
-    """Arclengths (P,), times (T,) and predicted position deviations (P, T) in mm of each path."""
+    """Arclengths (P,), times (T,), and predicted std of position (P, T) in mm by path."""
     nodes = problem.ahead.grid.arclength
     place = np.linspace(nodes[0], nodes[-1], _PLACES)
     time = np.linspace(problem.start, problem.end, _TIMES)
@@ -98,12 +98,12 @@ def save_plan_film(
 ) -> None:
     """Write a GIF of the predicted uncertainty along the body for each path.
 
-    A triangle marks the sensor; zones that count at the moment are shaded.
+    A triangle marks the sensor; zones that are active at the moment are shaded.
 
     Args:
         problem: The planning problem.
         paths: Arclengths (T,) at the problem's `times` by name, m.
-        zones: The zones that count.
+        zones: Zones of the objective.
         file: The file to write.
 
     Raises:
@@ -150,13 +150,13 @@ def _outline(axes: Any, zone: Zone, problem: PlanningProblem) -> None:
 def design_figure(designs: Sequence[Design]) -> Any:
     """Draw the uncertainty of every design against each of its costs.
 
-    A line joins the best designs of each cost; large marks are designs on the Pareto front.
+    A line joins the best designs at each cost; large marks are designs on the Pareto front.
 
     Args:
         designs: The designs.
 
     Returns:
-        The axes (1, C).
+        The axes (1, C), one for each cost.
 
     Raises:
         GlissandoError: matplotlib is not installed.
@@ -188,10 +188,10 @@ def design_figure(designs: Sequence[Design]) -> Any:
 
 
 def placement_figure(placements: Sequence[Placement], length: float) -> Any:
-    """Draw what sensors of each cost leave uncertain, and where along the body they are.
+    """Draw the uncertainty of sensor sets against their costs, and their positions on the body.
 
     Args:
-        placements: The sets, by rising budget.
+        placements: Sensor sets, by increasing budget.
         length: Length of the body, m.
 
     Returns:

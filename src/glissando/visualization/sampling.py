@@ -1,4 +1,4 @@
-"""Where pictures ask an estimate: at its nodes and between them, where it is known less well."""
+"""Points at which pictures query an estimate: nodes and, where variance is larger, between them."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from glissando.geometry.se3 import Array
 
 
 def drawn_at(nodes: Array, steps: int, most: int | None = None) -> Array:
-    """Places of a figure, page or film along arclength or time.
+    """Sample points of a figure, page or film along arclength or time.
 
-    Every interval between nodes is cut alike, at its middle at least; where that would be too many
-    places, some nodes and as many middles are left, evenly spread.
+    Every interval between nodes is divided equally, at least in two; if that exceeds `most`, some
+    of the nodes and equally many midpoints are kept, evenly spread.
 
     Args:
         nodes: Nodes (K,), m or s.
-        steps: How many steps there should be at least.
-        most: Most places, if there is a limit.
+        steps: Minimum number of steps.
+        most: Maximum number of points; None for no limit.
 
     Returns:
-        Places (P,) from the first node to the last.
+        Points (P,) from the first node to the last.
 
     >>> drawn_at(np.array([0.0, 1.0, 2.0]), 3).tolist()
     [0.0, 0.5, 1.0, 1.5, 2.0]

@@ -1,4 +1,4 @@
-"""What a planned motion among obstacles looks like: a figure, and a page that moves."""
+"""Pictures of a planned motion among obstacles: a figure, a film and an animated page."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from glissando.visualization.page.scene import Solid
 from glissando.visualization.shape_figure import frame_axes
 
 _SHOWN = 5  # shapes of a motion in one picture
-_FRAMES = 60  # of a film, about, unless it lasts for minutes
-_ZOOM = 0.93  # of space, so that labels have room
-_INSET = 0.05, 0.14, 0.85, 0.84  # of a film: axes, left, bottom, width, height
+_FRAMES = 60  # approximate number of frames of a film, unless it lasts for minutes
+_ZOOM = 0.93  # of the view in space, so that labels have room
+_INSET = 0.05, 0.14, 0.85, 0.84  # axes of a film: left, bottom, width, height
 _OBSTACLE, _TARGET, _ZONE = "#8c8c8c", "#009E73", "#E69F00"
 
 
 def scene_figure(plan: MotionPlan) -> Any:
-    """Draw a planned motion: in space with its 95 % tube, and its commands and clearance over time.
+    """Draw a planned motion in space with its 95 % tube, and its commands and clearance over time.
 
-    The tube is what the body reaches, its radius beside its confidence.
+    The tube surrounds all points that the body may reach: its radius plus its uncertainty.
 
     Args:
         plan: The plan.
 
     Returns:
-        The axes (4,): space, tendons, slides with the tip's confidence, clearance.
+        The axes (4,): space, tendons, tip uncertainty with slides, clearance.
 
     Raises:
         GlissandoError: matplotlib is not installed.
@@ -50,7 +50,7 @@ def scene_figure(plan: MotionPlan) -> Any:
 
 
 def save_scene_film(plan: MotionPlan, file: Path) -> None:
-    """Write a GIF of a planned motion with its 95 % tube, obstacles and targets, as fast as it is.
+    """Write a real-time GIF of a planned motion with its 95 % tube, obstacles and targets.
 
     Args:
         plan: The plan.
@@ -75,7 +75,7 @@ def save_scene_film(plan: MotionPlan, file: Path) -> None:
 
 
 def _draw_space(axes: Any, plan: MotionPlan, moments: Array, zoom: float = 1.06) -> None:
-    """Draw obstacles, targets, and the body at moments (K,), by number."""
+    """Draw obstacles, targets, and the body at the moments with indices (K,)."""
     from matplotlib import colormaps
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -109,7 +109,7 @@ def _draw_space(axes: Any, plan: MotionPlan, moments: Array, zoom: float = 1.06)
 
 
 def _draw_zones(axes: Any, plan: MotionPlan, k: int) -> None:
-    """Draw the parts of the body at a moment that are in zones of interest."""
+    """Draw the parts of the body that lie in zones of interest at moment k."""
     body, place = plan.problem.body, plan.evaluation.shapes.place[k]
     for zone in plan.problem.scene.zones:
         if zone.center is not None:
@@ -122,7 +122,7 @@ def _draw_zones(axes: Any, plan: MotionPlan, k: int) -> None:
 
 
 def _reached(plan: MotionPlan, k: int) -> Array:
-    """Triangles (F, 3, 3) around all that the body may reach at a moment with 95 %, m."""
+    """Triangles (F, 3, 3) of the 95 % surface of the body, radius included, at moment k, m."""
     at = plan.evaluation
     rings, of = confidence_tube(at.shapes.pose[k], _body_cov(at, k), SIGMAS_95)
     away = rings - at.shapes.place[k, of][:, None]
@@ -165,7 +165,7 @@ def _body_cov(at: Evaluation, k: int) -> Any:
 
 
 def scene_page(plan: MotionPlan) -> PageScene:
-    """A planned motion as `page` shows it: the robot, its confidence, obstacles and targets."""
+    """Scene of a planned motion for `page`: robot, confidence, obstacles and targets."""
     plan = plan.evenly()
     at, scene = plan.evaluation, plan.problem.scene
     moments, count = plan.problem.space.moments, len(scene.tendons)

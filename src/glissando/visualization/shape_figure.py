@@ -1,6 +1,6 @@
-"""The figure of a robot in space: its shapes over time with ellipsoids, forces and truth.
+"""Figure of a robot in space: its shapes over time with ellipsoids, forces and truth.
 
-Lengths are drawn in millimetres; ellipsoids hold 95 % of positions.
+Lengths are in millimetres; ellipsoids contain 95 % of positions.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 TRUTH_DOT: dict[str, Any] = {"color": "black", "depthshade": False}
-"""How a point of truth is drawn."""
+"""Style of a truth position."""
 
 
 def shape_figure(
@@ -45,15 +45,15 @@ def shape_figure(
     size: tuple[float, float] = (8.0, 7.6),
     style: Style = NO_STYLE,
 ) -> Axes:
-    """The robot in space at several times, with 95 % ellipsoids and the truth.
+    """Draw the robot in space at several times, with 95 % ellipsoids and the truth.
 
-    Where the prior knows loads, arrows show the unknown forces, with the ellipsoids of their tips.
+    If the prior has loads, arrows show the estimated forces, with the ellipsoids of their tips.
 
     Args:
-        posterior: What is drawn.
-        truth: Streams of poses become triads and of positions points, at their sample within 0.1 s.
-        times: Seconds; five across the grid unless given.
-        ax: Axes to draw into, with projection="3d"; those of a new figure unless given.
+        posterior: Estimate to draw.
+        truth: Truth, drawn at its nearest sample within 0.1 s: poses as triads, positions as dots.
+        times: Times, s; None for five across the grid.
+        ax: Axes to draw into, with projection="3d"; None for those of a new figure.
         size: Width and height of a new figure, inches.
         style: rcParams to draw with.
 
@@ -93,7 +93,7 @@ def shape_figure(
 
 
 def draw_ellipsoids(axes: Any, centre: Array, cov: Array, colour: Any) -> list[Array]:
-    """Draw the 95 % ellipsoids of points (M, 3) in metres; their bounding corners in mm."""
+    """Draw the 95 % ellipsoids of positions (M, 3) in metres; their bounding corners in mm."""
     around, down = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 15))
     ball = np.stack([np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)])
     stretch = SIGMAS_95 * MM * half_axes(cov)
@@ -106,7 +106,7 @@ def draw_ellipsoids(axes: Any, centre: Array, cov: Array, colour: Any) -> list[A
 
 
 def _draw_forces(axes: Any, forces: Arrows, colours: Array) -> list[Array]:
-    """Draw arrows and the ellipsoids of their tips, a colour a time; bounding corners in mm."""
+    """Draw arrows and the ellipsoids of their tips, one colour a time; bounding corners in mm."""
     corners = []
     for k, (strokes, colour) in enumerate(zip(forces.strokes(), colours, strict=True)):
         axes.plot(*MM * strokes.reshape(-1, 3).T, color=colour, linewidth=1.6, zorder=4)
@@ -115,7 +115,7 @@ def _draw_forces(axes: Any, forces: Arrows, colours: Array) -> list[Array]:
 
 
 def draw_truth(axes: Any, site: Readings, time: float, reach: float) -> Array:
-    """Draw a site's sample nearest in time, if near; the points drawn (…, 3) in mm."""
+    """Draw a site's nearest sample if it is within 0.1 s; the points drawn (…, 3) in mm."""
     row = int(np.argmin(np.abs(site.time - time)))
     if abs(site.time[row] - time) > NEAR:
         return np.empty((0, 3))
@@ -123,14 +123,14 @@ def draw_truth(axes: Any, site: Readings, time: float, reach: float) -> Array:
     if site.values.ndim == 2:
         axes.scatter(*origin[:, None], **TRUTH_DOT, s=24, zorder=4, label="truth: point")
         return origin[None]
-    tips: Array = origin + reach * site.values[row, :3, :3].T  # a row an axis
+    tips: Array = origin + reach * site.values[row, :3, :3].T  # one row per axis
     for tip, colour in zip(tips, AXES.values(), strict=True):
         axes.plot(*np.stack([origin, tip]).T, color=colour, linewidth=1.8, zorder=4)
     return tips
 
 
 def _explain(axes: Any, own: bool, sites: Sequence[Readings], forces: str) -> None:
-    """The legend of the shape: a line a time, base, ellipsoids, and what forces and truth are."""
+    """Draw the legend: times, base, ellipsoids, forces and truth."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -144,9 +144,9 @@ def _explain(axes: Any, own: bool, sites: Sequence[Readings], forces: str) -> No
 
 
 def frame_axes(axes: Any, points: Array, zoom: float = 1.06) -> None:
-    """Equal scales around all points (M, 3) in millimetres, and labels."""
+    """Set equal scales that contain all points (M, 3) in millimetres, and label the axes."""
     low, high = points.min(axis=0), points.max(axis=0)
-    half = 0.53 * np.maximum(high - low, 0.4 * (high - low).max() + 1e-6)  # never a thin slab
+    half = 0.53 * np.maximum(high - low, 0.4 * (high - low).max() + 1e-6)  # limits the flatness
     ends = np.stack([0.5 * (low + high) - half, 0.5 * (low + high) + half], axis=1)
     axes.set(xlim=ends[0], ylim=ends[1], zlim=ends[2])
     for i, axis in enumerate((axes.xaxis, axes.yaxis, axes.zaxis)):

@@ -1,4 +1,4 @@
-"""Streams as pictures draw them: one batch of readings a site."""
+"""Streams as pictures draw them: one batch of readings for each site."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.sensors.sensors import CoilReadings, PoseReadings, PositionReadings
 
 NEAR = 0.1
-"""Seconds: a truth sample this close to a drawn time is drawn with it."""
-_FIXED_SITES = 12  # a stream at more arclengths than this slides and is one row of errors
-_POSITIONED = PoseReadings | CoilReadings | PositionReadings  # streams that see a position
+"""Largest time difference, s, between a drawn time and the truth sample drawn with it."""
+_FIXED_SITES = 12  # a stream with more distinct arclengths than this counts as sliding
+_POSITIONED = PoseReadings | CoilReadings | PositionReadings  # streams that measure a position
 
 
 def sites_of(streams: Sequence[Readings], grid: Grid, kind: Any = _POSITIONED) -> list[Readings]:
-    """The streams of a kind, inside the grid and in time order, one batch a site.
+    """Split streams of a kind, inside the grid and in time order, into one batch for each site.
 
-    A stream at a few fixed arclengths is split into them; one that slides stays whole.
+    A stream at a few fixed arclengths is split into one batch each; a sliding one stays whole.
     """
     out: list[Readings] = []
     for stream in (s for s in streams if isinstance(s, kind)):
@@ -35,5 +35,5 @@ def sites_of(streams: Sequence[Readings], grid: Grid, kind: Any = _POSITIONED) -
 
 
 def seen_positions(readings: Readings) -> Array:
-    """Positions (M, 3) in the world that a batch of `sites_of` reports, metres."""
+    """Positions (M, 3) in the world frame measured by a batch of `sites_of`, m."""
     return readings.values[:, :3, 3] if readings.values.ndim == 3 else readings.values

@@ -21,9 +21,9 @@ from glissando.visualization.film.stage import INCHES, Stage
 
 Progress = Callable[[int, int], None]  # frames done, frames in all
 
-_LONGEST = 12.0  # s: a longer motion is sped up to this unless seconds are given
-_FASTEST = 50.0  # Hz: a gif's delays are hundredths of a second, and browsers refuse a single one
-_NEARLY_WHITE = [*range(248), *[255] * 8] * 3  # Pillow looks white up as 252, which is a grey
+_LONGEST = 12.0  # s, duration to which a longer motion is accelerated unless `seconds` is given
+_FASTEST = 50.0  # Hz: a GIF's delays are whole hundredths of a second, two at least in browsers
+_NEARLY_WHITE = [*range(248), *[255] * 8] * 3  # Pillow would quantise white to 252, a grey
 
 
 def save_animation(
@@ -37,24 +37,24 @@ def save_animation(
     width: int = 900,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a film of the robot in its 95 % tube and of its confidence; whole or not at all.
+    """Write a film of the robot in its 95 % tube and of its uncertainty, complete or not at all.
 
     Args:
-        posterior: What is shown, in the world frame and millimetres.
-        readings: Where sensors are.
-        truth: What is drawn beside the estimate, as by `shape_figure`.
+        posterior: Estimate to show, drawn in the world frame and millimetres.
+        readings: Streams of the sensors, whose positions are shown.
+        truth: Streams of the truth, drawn as by `shape_figure`.
         path: A .gif, which loops, or an .mp4, which needs ffmpeg.
-        seconds: Length of the film; the motion's own up to 12 s unless given.
+        seconds: Duration of the film; None for that of the motion, 12 s at most.
         rate: Frames a second, 50 at most.
-        width: Pixels, 100 or more.
-        progress: Called after each frame.
+        width: Width in pixels, 100 or more.
+        progress: Called after each frame with the numbers of frames done and in all.
 
     Returns:
         The path written; without ffmpeg an .mp4 becomes a .gif beside it.
 
     Raises:
-        GlissandoError: Another ending, a number out of range, a grid of a single arclength, or
-            matplotlib is not installed.
+        GlissandoError: The suffix is another, a number is out of range, the grid has a single
+            arclength, or matplotlib is not installed.
     """
     path, grid = Path(path), posterior.grid
     span = float(grid.time[-1] - grid.time[0])
@@ -98,9 +98,9 @@ def _write_mp4(stage: Stage, building: Path, rate: float, progress: Progress) ->
     from matplotlib.figure import Figure
 
     wide, high = stage.size
-    sheet = FigureCanvasAgg(Figure((wide / 100, high / 100), dpi=100)).figure  # a frame and no more
+    sheet = FigureCanvasAgg(Figure((wide / 100, high / 100), dpi=100)).figure  # of a frame's size
     image = sheet.figimage(np.zeros((high, wide, 3), dtype=np.uint8))
-    pace: Any = rate  # matplotlib asks for an int, ffmpeg does not
+    pace: Any = rate  # matplotlib's annotation is int, but ffmpeg accepts a float
     writer = FFMpegWriter(fps=pace, codec="h264")
     try:
         with writer.saving(sheet, str(building), 100):
@@ -115,7 +115,7 @@ def _write_mp4(stage: Stage, building: Path, rate: float, progress: Progress) ->
 
 
 def _write_gif(stage: Stage, building: Path, rate: float, progress: Progress) -> None:
-    """Give all frames one palette, so that Pillow writes only what changes between them."""
+    """Encode all frames with one palette, so that Pillow stores only the changes between them."""
     from PIL import Image
 
     count = stage.frames.time.size

@@ -1,4 +1,4 @@
-"""What the frames of an animation show, as numbers: nothing is drawn here."""
+"""Data of the frames of an animation; nothing is drawn here."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from glissando.visualization.canvas import MM
 from glissando.visualization.sampling import drawn_at
 from glissando.visualization.sites import NEAR, seen_positions, sites_of
 
-_DROPPED = 0.25  # s: without a reading this near, a sensor is not shown
-_ALONG = 63  # steps along the tube at least
+_DROPPED = 0.25  # s, largest time to the nearest reading at which a sensor is shown
+_ALONG = 63  # steps along the tube, minimum
 
 
 @dataclass(frozen=True)
 class Frames:
-    """What F frames show, world frame, millimetres; NaN where there is nothing to show.
+    """Data of F frames, world frame, millimetres; NaN where there is nothing to show.
 
     Attributes:
         time: Times (F,), s.
         arclength: Points along the body (N,).
-        line: Their positions (F, N, 3).
-        std: Std of their positions (F, N).
-        tube: Rings (F, R, A, 3) of the 95 % surface across the body.
-        shade: Std (F, R) at the rings.
-        sensors: Labels (S).
+        line: Positions of these points (F, N, 3).
+        std: Standard deviations of their positions (F, N).
+        tube: Rings (F, R, A, 3) of the 95 % surface, across the body.
+        shade: Standard deviations (F, R) at the rings.
+        sensors: Labels of the sensors (S).
         place: Arclengths of the sensors (F, S).
-        dot: Their positions (F, S, 3).
-        dot_std: Std of their positions (F, S).
+        dot: Positions of the sensors (F, S, 3).
+        dot_std: Standard deviations of these positions (F, S).
         triad: True origins and tips of x, y, z (F, C, 4, 3).
         point: True positions (F, P, 3).
-        force: Lines (F, S, 3) of the arrows of unknown forces and of their ellipsoids.
-        forces: What arrows mean; empty where the prior knows no loads.
+        force: Lines (F, S, 3) of the arrows of estimated forces and of their ellipsoids.
+        forces: Legend of the arrows; empty if the prior has no loads.
     """
 
     time: Array
@@ -62,10 +62,10 @@ class Frames:
 def frames_at(
     posterior: Posterior, readings: Sequence[Readings], truth: Sequence[Readings], times: Array
 ) -> Frames:
-    """What to draw at `times` (F,) in seconds, from one query of the posterior.
+    """Evaluate what is drawn at `times` (F,) in seconds, in one query of the posterior.
 
-    A sensor is where its reading nearest in time says, within 0.25 s; truth is the sample nearest
-    in time, within 0.1 s. Raises OutsideGridError for a time off the grid.
+    A sensor is shown at the arclength of its nearest reading within 0.25 s, and truth at the
+    nearest sample within 0.1 s. Raises OutsideGridError for a time off the grid.
     """
     grid = posterior.grid
     sites = sites_of(readings, grid, Readings)
@@ -99,7 +99,7 @@ def frames_at(
 
 
 def sensor_places(sites: Sequence[Readings], times: Array) -> Array:
-    """Arclengths (F, S) of the sensors at times (F,), NaN without a reading near."""
+    """Arclengths (F, S) of the sensors at times (F,); NaN without a reading within 0.25 s."""
     place = np.full((times.size, len(sites)), np.nan)
     for column, site in zip(place.T, sites, strict=True):
         rows, near = nearest_samples(site, times, _DROPPED)
@@ -108,7 +108,7 @@ def sensor_places(sites: Sequence[Readings], times: Array) -> Array:
 
 
 def nearest_samples(site: Readings, times: Array, within: float) -> tuple[Index, NDArray[np.bool_]]:
-    """Rows of the readings nearest to times (F,), and whether they are near enough."""
+    """Rows of the readings nearest to times (F,), and whether they are `within` s."""
     after = np.searchsorted(site.time, times).clip(1, max(site.time.size - 1, 1))
     nodes = np.append(site.time, np.inf)
     rows = after - (times - nodes[after - 1] <= nodes[after] - times)
@@ -116,7 +116,7 @@ def nearest_samples(site: Readings, times: Array, within: float) -> tuple[Index,
 
 
 def true_marks(sites: Sequence[Readings], times: Array, reach: float) -> Array:
-    """Origins and tips of the true axes (F, C, 4, 3) in mm, NaN without a sample near."""
+    """Origins and tips of the true axes (F, C, 4, 3) in mm; NaN without a sample within 0.1 s."""
     out = np.full((times.size, len(sites), 4, 3), np.nan)
     for i, site in enumerate(sites):
         rows, near = nearest_samples(site, times, NEAR)

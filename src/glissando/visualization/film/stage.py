@@ -1,6 +1,6 @@
-"""The picture of an animation: what stays is drawn once, what moves is drawn over it.
+"""Picture of an animation: static parts are drawn once, and moving parts over them.
 
-Everything is drawn twice as large and then halved, which is smoother than drawing it as shown.
+Everything is drawn at twice the size and then reduced, which smooths edges.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 INCHES = np.array([9.0, 5.2])
 _ELEVATION, _AZIMUTH = 20.0, -52.0  # degrees
 _FINER = 2
-_VEIL = 0.7  # how much of what lies behind the tube it hides
-_TRAIL = range(10, 0, -2)  # earlier frames whose confidence is still faintly there
+_VEIL = 0.7  # opacity of the tube
+_TRAIL = range(10, 0, -2)  # ages, in frames, of the earlier curves that are drawn faintly
 
 
 class Stage:
-    """The figure: what stays is drawn once, `picture` draws what moves over it."""
+    """A figure whose static parts are drawn once; `picture` draws the moving parts over them."""
 
     def __init__(self, figure: Any, frames: Frames, width: int, speed: float) -> None:
         from matplotlib import colormaps
@@ -53,7 +53,7 @@ class Stage:
         self.still = figure.canvas.copy_from_bbox(figure.bbox)
 
     def _add(self, artist: Any) -> Any:
-        """An artist that moves: drawn every frame, in the order added; it takes no room."""
+        """Register a moving artist: drawn in each frame in the order added, outside the layout."""
         artist.set(animated=True, in_layout=False)
         self.moving.append(artist)
         return artist
@@ -62,7 +62,7 @@ class Stage:
         return self._add(axes.plot(*[[]] * (3 if axes is self.space else 2), **look)[0])
 
     def _set_space(self, panel: Any) -> None:
-        """The robot in space: shadow, tube, backbone, truth, forces, base and sensors."""
+        """Create the view in space: shadow, tube, backbone, truth, forces, base and sensors."""
         from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
         f, view = self.frames, {"elev": _ELEVATION, "azim": _AZIMUTH, "proj_type": "ortho"}
@@ -89,7 +89,7 @@ class Stage:
         self.dots = [self._line(axes, **look, ms=13) for look in self.looks]
 
     def _set_curve(self, axes: Any, note: str) -> None:
-        """The confidence along the body, coloured as the tube is, and the clock."""
+        """Create the plot of uncertainty along the body, coloured as the tube is, and the clock."""
         from matplotlib.collections import LineCollection, PolyCollection
 
         ends = self.frames.arclength[[0, -1]]
@@ -106,7 +106,7 @@ class Stage:
         self.marks = [self._line(axes, **look, ms=11) for look in self.looks]
 
     def _set_strip(self, axes: Any) -> None:
-        """The confidence over the whole motion, along which a cursor moves."""
+        """Create the map of uncertainty over the whole motion, along which a cursor moves."""
         f, wide = self.frames, np.zeros(1)
         if f.time.size == 1:  # drawn 1 s wide
             wide = np.array([-0.5, 0.5])
@@ -124,7 +124,7 @@ class Stage:
         self.pins = [self._line(axes, **look, ms=8) for look in self.looks]
 
     def _explain(self, panel: Any) -> None:
-        """The legend above the view in space."""
+        """Draw the legend above the view in space."""
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
 
@@ -145,7 +145,7 @@ class Stage:
         legend(panel, entries, **place, columnspacing=1.4, handletextpad=0.5, handlelength=1.8)
 
     def picture(self, k: int) -> Image:
-        """Frame k."""
+        """Image of frame k."""
         from PIL import Image
 
         self._move_space(k)
@@ -155,7 +155,7 @@ class Stage:
         for artist in self.moving:
             behind = pixels.copy() if artist is self.skin else None
             artist.axes.draw_artist(artist)
-            if behind is not None:  # the tube is solid up to here: its parts hide one another
+            if behind is not None:  # the tube was drawn opaque, so its rear is hidden; now blend it
                 veil = Image.blend(Image.fromarray(behind), Image.fromarray(pixels), _VEIL)
                 np.copyto(pixels, np.asarray(veil))
         return Image.fromarray(pixels).convert("RGB").resize(self.size, Image.Resampling.BOX)
@@ -168,7 +168,7 @@ class Stage:
         self.spine.set_data_3d(*line.T)
         self.shadow.set_data_3d(*line[:, :2].T, np.full(len(line), self.space.get_zlim()[0]))
         self.base.set_data_3d(*line[:1].T)
-        for i, true in enumerate(self.true, start=1):  # a NaN between two strokes
+        for i, true in enumerate(self.true, start=1):  # NaN separates two strokes
             strokes = f.triad[k][:, [0, i, 0]] * np.array([1.0, 1.0, np.nan])[:, None]
             true.set_data_3d(*strokes.reshape(-1, 3).T)
         self.points.set_data_3d(*f.point[k].T)
@@ -180,7 +180,7 @@ class Stage:
         f, s, std = self.frames, self.frames.arclength, self.frames.std[k]
         left, right = np.arange(s.size - 1), np.minimum(np.arange(s.size - 1) + 2, s.size - 1)
         corners = [(s[left], 0.0 * s[left]), (s[right], 0.0 * s[right])]
-        corners += [(s[right], std[right]), (s[left], std[left])]  # each under the next: no seams
+        corners += [(s[right], std[right]), (s[left], std[left])]  # overlapping, to avoid seams
         colour = self.colours(0.5 * (std[1:] + std[:-1]) / self.top)
         self.area.set(verts=np.moveaxis(np.array(corners), -1, 0), facecolor=colour)
         self.now.set_data(s, std)
@@ -195,7 +195,7 @@ class Stage:
             self.pins[i].set_data([f.time[k]], [place])
 
     def _faces(self, tube: Array, shade: Array) -> tuple[Array, Array]:
-        """The quads of the tube that face the viewer (Q, 4, 3), and their colours (Q, 4)."""
+        """Quads of the tube that face the viewer (Q, 4, 3), and their colours (Q, 4)."""
         ring = np.concatenate([tube, tube[:, :1]], axis=1)
         quad = np.stack([ring[:-1, :-1], ring[1:, :-1], ring[1:, 1:], ring[:-1, 1:]], axis=2)
         normal = np.cross(quad[:, :, 3] - quad[:, :, 1], quad[:, :, 2] - quad[:, :, 0])
@@ -211,12 +211,12 @@ class Stage:
 
 
 def _fit(panel: Any, axes: Any) -> None:
-    """Let axes in space, with their labels, fill the panel below its legend."""
+    """Fit axes in space, with their labels, into the panel below its legend."""
     from matplotlib.transforms import Bbox
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 
     corners = np.meshgrid(axes.get_xlim(), axes.get_ylim(), axes.get_zlim())
-    for _ in range(3):  # labels keep their size: not done in one step
+    for _ in range(3):  # iterated, because labels keep their size
         panel.get_figure(root=True).draw_without_rendering()
         below = panel.transSubfigure.inverted().transform(panel.legends[0].get_window_extent())
         room = np.array([[0.02, 0.02], [0.98, below[0, 1] - 0.01]])

@@ -1,4 +1,4 @@
-"""The robot over time in a browser: a page that works without a network, or a running estimate."""
+"""The robot over time in a browser: as a self-contained page, or live while an estimator runs."""
 
 from glissando.visualization.page.live import Live
 from glissando.visualization.page.page import page, save_view, subtitle

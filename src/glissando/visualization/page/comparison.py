@@ -1,4 +1,4 @@
-"""Runs side by side as one self-contained HTML page: numbers, charts, settings, figures, scenes."""
+"""Comparison of runs as one self-contained HTML page: numbers, charts, settings and scenes."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _WRONG = (ValueError, KeyError, TypeError, AttributeError, IndexError, Arithmeti
 
 @dataclass(frozen=True)
 class WrittenRun:
-    """A run that `glissando estimate --out` wrote.
+    """Results that `glissando estimate --out` wrote.
 
     Attributes:
-        label: What the run is called on the page.
-        folder: The folder it was written to.
-        report: Its report.json.
+        label: Name of the run on the page.
+        folder: Folder of the results.
+        report: Content of report.json.
     """
 
     label: str
@@ -41,7 +41,7 @@ class WrittenRun:
     report: dict[str, Any]
 
     def site(self, name: str, quantity: str) -> dict[str, Any]:
-        """RMSE and consistency of a quantity at a site, or at 'all'; empty where it has none."""
+        """RMSE and consistency of a quantity at a site, or at 'all'; empty if there is none."""
         sites, overall = self.report["sites"], self.report["overall"] or {}
         errors = {site["name"]: site for site in sites} | {"all": overall}
         checks = {(c["site"], c["quantity"]): c for c in self.report["consistency"]}
@@ -52,7 +52,7 @@ class WrittenRun:
 
 
 def written_runs(folders: Sequence[Path]) -> list[WrittenRun]:
-    """The runs in folders, labelled by the shortest ends of their paths that tell them apart.
+    """Runs in folders, labelled by the shortest distinct ends of their paths.
 
     Raises GlissandoError for a folder without a report.json of `glissando estimate`.
     """
@@ -82,13 +82,13 @@ def _report(folder: Path) -> dict[str, Any]:
 
 
 def comparison(runs: Sequence[WrittenRun]) -> str:
-    """The HTML of one run or several; changes are in per cent of the first.
+    """HTML page of one run or several; changes are in per cent of the first.
 
-    Scenes are those that `glissando estimate --view` wrote, else made of posterior.nc, without
+    Scenes are those that `glissando estimate --view` wrote, or else made from posterior.nc, without
     sensors and truth. Figures are the runs' own PNG files.
 
     Raises:
-        GlissandoError: What a report.json holds is not what `glissando estimate` writes.
+        GlissandoError: The content of a report.json is not what `glissando estimate` writes.
     """
     try:
         return _page(runs)
@@ -102,7 +102,7 @@ def comparison(runs: Sequence[WrittenRun]) -> str:
 
 
 def _page(runs: Sequence[WrittenRun]) -> str:
-    """The HTML of runs whose reports are as they should be."""
+    """HTML page of runs with valid reports."""
     labels = [run.label for run in runs]
     parts = [svg.key(labels) if len(runs) > 1 else ""]
     parts += [_errors(runs, quantity) for quantity in _SCALES]
@@ -117,7 +117,7 @@ def _page(runs: Sequence[WrittenRun]) -> str:
 
 
 def _errors(runs: Sequence[WrittenRun], quantity: str) -> str:
-    """Charts and a table of the errors against truth, a row a site."""
+    """Charts and a table of the errors against truth, one row a site."""
     scale, unit = _SCALES[quantity]
     names = dict.fromkeys(s["name"] for run in runs for s in run.report["sites"])
     rows = [n for n in [*names, "all"] if any(run.site(n, quantity) for run in runs)]
@@ -153,7 +153,7 @@ def _errors(runs: Sequence[WrittenRun], quantity: str) -> str:
 
 
 def _cells(site: dict[str, Any], scale: float, first: dict[str, Any]) -> list[str]:
-    """One run's cells at a site, its change against what the `first` run has there."""
+    """Table cells of one run at a site, with the change relative to the `first` run."""
     cells = [_DASH] * 5
     if site:
         cells[0] = f"{scale * site['rmse']:.2f}"
@@ -179,7 +179,7 @@ def _share(site: dict[str, Any], level: str) -> svg.Dot | None:
 
 
 def _innovations(runs: Sequence[WrittenRun]) -> str:
-    """Whether the innovations of each stream are as large as they should be."""
+    """Table of the normalised innovations squared of each stream, with their bounds."""
     groups = [("", ["stream"]), *((run.label, ["NIS / dof", "confidence"]) for run in runs)]
     rows: dict[str, list[str]] = {}
     for column, run in enumerate(runs):
@@ -192,7 +192,7 @@ def _innovations(runs: Sequence[WrittenRun]) -> str:
 
 
 def _settings(runs: Sequence[WrittenRun]) -> str:
-    """What each run was: a row a setting, a column a run."""
+    """Table of the settings, one row a setting and one column a run."""
     rows: dict[str, list[str]] = {}
     for column, run in enumerate(runs):
         for name, text in _setting(run.report):
@@ -209,7 +209,7 @@ def _setting(report: dict[str, Any]) -> Iterable[tuple[str, str]]:
     yield "window (s)", " to ".join(f"{t:g}" for t in report["window"])
     if "nodes" in report:
         yield "nodes", "{} times × {} arclengths".format(*report["nodes"])
-    if report.get("log_evidence") is not None:  # an estimate of our own
+    if report.get("log_evidence") is not None:  # a batch estimate
         yield "log evidence", f"{report['log_evidence']:.1f}"
     for name, count in report["readings"].items():
         reasons = report["dropped"].get(name, {})
@@ -229,7 +229,7 @@ def _scenes(runs: Sequence[WrittenRun]) -> str:
         source = plain_text(ready, otherwise="utf-8") if ready.is_file() else _scene(run)
         if source:
             named = f'title="{escape(run.label)} over time"'
-            # A script of a page that somebody else wrote reaches nothing beyond its frame.
+            # Sandboxed: a script of a page of unknown origin reaches nothing outside its frame.
             frames.append(
                 f'<iframe {named} sandbox="allow-scripts" srcdoc="{escape(source)}"></iframe>'
             )
@@ -237,7 +237,7 @@ def _scenes(runs: Sequence[WrittenRun]) -> str:
 
 
 def _scene(run: WrittenRun) -> str:
-    """A page of the run's posterior.nc; empty where there is none."""
+    """Page of the run's posterior.nc; empty if there is none."""
     file = run.folder / "posterior.nc"
     if not file.is_file():
         return ""
@@ -260,7 +260,7 @@ def _figures(runs: Sequence[WrittenRun]) -> str:
 
 
 def _table(groups: Sequence[tuple[str, list[str]]], rows: Sequence[Sequence[str]]) -> str:
-    """A table under two lines of headings: the groups, each over its columns."""
+    """HTML table with two header rows: the groups, and their columns."""
     top = "".join(f'<th colspan="{len(c)}" scope="colgroup">{escape(g)}</th>' for g, c in groups)
     head = _line("th", [name for _, columns in groups for name in columns])
     body = "".join(_line("td", row) for row in rows)

@@ -1,4 +1,4 @@
-"""A running estimate in a browser: a small server that shows the newest state."""
+"""Live view of a running estimate in a browser: a small server that shows the newest state."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _TUBE, _COIL = (130, 160, 190), (230, 159, 0)
 
 
 class Live:
-    """The robot with its 95 % tube at an address that any browser on this machine opens.
+    """A server that shows the robot with its 95 % tube to any browser on this machine.
 
-    A context manager, which stops the server.
+    A context manager, which stops the server on exit.
 
     Args:
-        arclength: Points (N,) that updates give, m.
-        top: Standard deviation of position at which the colours end, m.
-        port: Port of the server; 0 is any free one.
+        arclength: Arclengths (N,) of the points in updates, m.
+        top: Standard deviation of position at the end of the colour scale, m.
+        port: Port of the server; 0 for any free one.
 
     Raises:
-        GlissandoError: viser is not installed, or the port cannot be.
+        GlissandoError: viser is not installed, or the port is out of range.
     """
 
     def __init__(self, arclength: ArrayLike, *, top: float = 0.02, port: int = 8080) -> None:
@@ -54,28 +54,28 @@ class Live:
         self._server.gui.add_markdown(
             f"Tube: 95 %. Body: dark is sure, yellow ± {MM * top:.3g} mm or more."
         )
-        self._look_at(np.zeros(3))  # before the first update a browser shows the base's place
+        self._look_at(np.zeros(3))  # until the first update, the camera looks at the base
         self._body: Any = None
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
+        """URL to open in a browser."""
         return f"http://127.0.0.1:{self._server.get_port()}"
 
     def update(
         self, time: float, centres: Array, frames: Array, cov: Array, coil: float | None = None
     ) -> None:
-        """Show a state in the world frame; takes milliseconds and never waits for a browser.
+        """Show a state in the world frame, in milliseconds and without waiting for a browser.
 
         Args:
-            time: Its time, s.
+            time: Time of the state, s.
             centres: Positions (N, 3), m.
             frames: Poses (N, 4, 4).
             cov: Covariances of the positions (N, 3, 3), m².
-            coil: Arclength of the coil, m; None while it gives no readings.
+            coil: Arclength of the coil, m; None if it has no current reading.
 
         Raises:
-            GlissandoError: An array has another shape.
+            GlissandoError: An array has the wrong shape.
         """
         self._require(centres, frames, cov)
         std = np.sqrt(np.einsum("nii->n", cov))
@@ -114,7 +114,7 @@ class Live:
         camera.position = centre + self._long * np.array([0.6, -0.75, 0.35])
 
     def _add(self, rings: tuple[int, int]) -> None:
-        """Put the parts into the picture that updates move."""
+        """Add the objects that updates move to the scene."""
         scene, count = self._server.scene, self.arclength.size
         faces = tube_faces(*rings)
         flat = np.zeros((rings[0] * rings[1], 3), dtype=np.float32)
@@ -137,7 +137,7 @@ class Live:
 
 
 def play(scene: Scene, port: int) -> None:
-    """Show a scene again and again at its own pace until interrupted."""
+    """Show a scene repeatedly in real time until interrupted."""
     std, cov = np.linalg.norm(scene.root, axis=(-2, -1)), scene.root @ scene.root
     pause = max(np.diff(scene.time).mean(), 0.02) if scene.time.size > 1 else 0.5
     with Live(scene.arclength, top=float(np.quantile(std, 0.99)), port=port) as shown:
@@ -151,7 +151,7 @@ def play(scene: Scene, port: int) -> None:
 
 
 def follow(view: Live, smoother: FixedLagSmoother) -> None:
-    """Show a smoother's newest state."""
+    """Show the newest state of a smoother."""
     time = smoother.time or 0.0
     at = smoother.at(view.arclength, time)
     view.update(time, at.position, at.pose, at.cov_position_world)

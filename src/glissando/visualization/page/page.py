@@ -1,4 +1,4 @@
-"""A scene as one HTML file that needs nothing else: no network, no library, no server."""
+"""A scene as one self-contained HTML file, without network, library or server."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from glissando.visualization.arrows import Arrows
 from glissando.visualization.canvas import MM
 from glissando.visualization.page.scene import Progress, Scene, scene_of
 
-_NOTHING = 65535  # stands for NaN
+_NOTHING = 65535  # code of NaN
 _SIX = np.triu_indices(3)
 
 
@@ -44,13 +44,13 @@ def save_view(
     """Write the robot over time with its confidence as one self-contained HTML file.
 
     Args:
-        posterior: What is shown.
-        path: File to write; its folder is made if it is missing.
-        readings: Where sensors are, in the world frame.
-        truth: What is drawn beside the estimate, in the world frame.
+        posterior: Estimate to show.
+        path: File to write; its folder is created if it is missing.
+        readings: Streams of the sensors, whose positions are shown.
+        truth: Streams of the truth, drawn beside the estimate in the world frame.
         title: Title of the page.
-        window: First and last second; all of the estimate unless given.
-        progress: Called as moments are done.
+        window: First and last time, s; None for the whole estimate.
+        progress: Called with the numbers of moments done and in all.
 
     Returns:
         The path written.
@@ -69,14 +69,14 @@ def save_view(
 
 
 def subtitle(posterior: Posterior, scene: Scene) -> str:
-    """The time that is shown, and how the estimate was reached."""
+    """Text with the time span shown and the outcome of the solver."""
     solve, time = posterior.solve, scene.time
     span = seconds(time[0], time[-1])
     return f"{span} s; estimate {solve.status}, {solve.iterations} iterations"
 
 
 def page(scene: Scene, title: str, subtitle: str) -> str:
-    """The HTML of a scene. Coordinates are rounded to a step that the page states."""
+    """HTML page of a scene. Coordinates are rounded to a step stated on the page."""
     content = contents(scene)
     coarse = 0.5 * MM * max(content[name]["step"] for name in ("centre", "root"))
     scripts = ("scene.js", "stage.js", "panels.js", "page.js", "hands.js")
@@ -95,12 +95,12 @@ def page(scene: Scene, title: str, subtitle: str) -> str:
 
 
 def asset(name: str) -> str:
-    """The text of a file of the page."""
+    """Text of a file of the page's scripts, styles and templates."""
     return (files("glissando.visualization.page") / "web" / name).read_text(encoding="utf-8")
 
 
 def contents(scene: Scene) -> dict[str, Any]:
-    """What a page carries of a scene: arrays packed, bounds, and the top of the colours (m)."""
+    """Data of a scene for the page: packed arrays, bounds, and the end of the colour scale (m)."""
     centre = scene.pose[..., :3, 3]
     std = np.linalg.norm(scene.root, axis=(-2, -1))
     top = max(float(np.quantile(std, 0.99)), 1e-9)
@@ -138,7 +138,7 @@ def contents(scene: Scene) -> dict[str, Any]:
 
 
 def _forces(arrows: Arrows) -> dict[str, Any]:
-    """Forces and symmetric roots of their covariances in metres of the picture."""
+    """Forces and symmetric square roots of their covariances, scaled to metres of the picture."""
     return {
         "place": arrows.place.tolist(),
         "words": arrows.words,
@@ -150,9 +150,9 @@ def _forces(arrows: Arrows) -> dict[str, Any]:
 
 
 def packed(values: Array) -> dict[str, Any]:
-    """An array in 16 bits a number: value = low + step q, and q = 65535 for NaN; base64.
+    """Quantise an array to 16 bits in base64: value = low + step q, with q = 65535 for NaN.
 
-    Rounding is half a step at most, a step 1/65534 of the array's range.
+    The rounding error is at most half a step, and a step is 1/65534 of the array's range.
     """
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)

@@ -1,4 +1,4 @@
-"""What a page shows, as numbers: the robot, its confidence, sensors and truth over time."""
+"""Data of a page: the robot, its uncertainty, sensors and truth over time."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from glissando.visualization.sites import NEAR, sites_of
 
 Progress = Callable[[int, int], None]  # moments done, moments in all
 
-_RATE = 20.0  # Hz at least
-_ALONG = 48  # steps along the body at least
-_MOST = 1500  # moments a page holds, which bounds its size
-_CHUNK = 100  # moments a query, to bound memory
+_RATE = 20.0  # Hz, minimum
+_ALONG = 48  # steps along the body, minimum
+_MOST = 1500  # moments of a page, which bounds its size
+_CHUNK = 100  # moments in a query, which bounds memory
 
 
 @dataclass(frozen=True)
 class Solid:
-    """Something beside the robot: vertices (V, 3), m, triangles (F, 3), a colour, see-through."""
+    """A body near the robot: vertices (V, 3), m, triangles (F, 3), colour, and transparency."""
 
     vertices: Array
     triangles: Index
@@ -42,23 +42,23 @@ class Solid:
 
 @dataclass(frozen=True)
 class Scene:
-    """What F moments show, world frame, SI units; NaN where there is nothing to show.
+    """Data of F moments, world frame, SI units; NaN where there is nothing to show.
 
     Attributes:
         time: Times (F,).
         arclength: Points along the body (N,).
-        pose: Their poses (F, N, 4, 4).
-        root: Symmetric square roots (F, N, 3, 3) of their positions' covariance.
+        pose: Poses of these points (F, N, 4, 4).
+        root: Symmetric square roots (F, N, 3, 3) of the covariances of their positions.
         sensors: Labels of the sensors (S).
-        place: Their arclengths (F, S).
-        sites: Labels of truth (C).
-        site_place: Their arclengths (F, C).
-        truth: Origins and tips of true axes (F, C, 4, 3).
-        miss: Distance of truth from the estimate (F, C).
-        nees: Its square in units of its covariance (F, C), of three degrees of freedom.
-        tube: The tube whose coverage the robot file promises, if there is one.
-        solids: What surrounds the robot.
-        arrows: Unknown forces on it, where the prior knows loads.
+        place: Arclengths of the sensors (F, S).
+        sites: Labels of the truth sites (C).
+        site_place: Arclengths of the truth sites (F, C).
+        truth: Origins and tips of the true axes (F, C, 4, 3).
+        miss: Position errors of the estimate against truth (F, C).
+        nees: Normalised squared position errors (F, C), with three degrees of freedom.
+        tube: Tube for whose coverage the robot file has a guarantee, if any.
+        solids: Solids around the robot.
+        arrows: Estimated forces; None unless the prior has loads.
     """
 
     time: Array
@@ -86,17 +86,17 @@ def scene_of(
     tube: Tube | None = None,
     progress: Progress | None = None,
 ) -> Scene:
-    """The posterior at its time nodes and the middles between them, at 20 Hz at least.
+    """Evaluate a posterior at its time nodes and the midpoints between, at 20 Hz at least.
 
-    Every moment is evaluated by the posterior: nothing is interpolated afterwards.
+    The posterior evaluates every moment; the page interpolates nothing.
 
     Args:
-        posterior: What is shown.
-        readings: Where sensors are: at their nearest reading within 0.25 s.
-        truth: What is drawn beside the estimate: the nearest sample within 0.1 s.
-        window: First and last second; all of the estimate unless given.
+        posterior: Estimate to show.
+        readings: Streams of the sensors, shown at their nearest reading within 0.25 s.
+        truth: Streams of the truth, shown at the nearest sample within 0.1 s.
+        window: First and last time, s; None for the whole estimate.
         tube: A whole-body tube to draw beside the Gaussian one.
-        progress: Called as moments are done.
+        progress: Called with the numbers of moments done and in all.
 
     Raises:
         OutsideGridError: The window is off the grid.
@@ -136,9 +136,9 @@ def scene_of(
 
 
 def moments(nodes: Array, window: tuple[float, float] | None) -> Array:
-    """Times to show: nodes (K,) and between, at least at 20 Hz, at most 1500 of them.
+    """Times to show: nodes (K,) and points between, at 20 Hz at least, 1500 at most.
 
-    Raises OutsideGridError for a window, in seconds, that is empty or off the nodes.
+    Raises OutsideGridError for a window, in seconds, that is empty or not inside the grid.
     """
     first, last = window or (nodes[0], nodes[-1])
     if not nodes[0] <= first <= last <= nodes[-1]:
@@ -152,7 +152,7 @@ def moments(nodes: Array, window: tuple[float, float] | None) -> Array:
 
 
 def _misses(posterior: Posterior, site: Readings, times: Array) -> Array:
-    """Arclength, distance and its squared normalised size (3, F) of the samples shown."""
+    """Arclength, position error and its NEES (3, F) of the samples shown; NaN without one."""
     rows, near = nearest_samples(site, times, NEAR)
     out = np.full((3, times.size), np.nan)
     shown, back = np.unique(rows[near], return_inverse=True)

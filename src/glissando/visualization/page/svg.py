@@ -1,4 +1,4 @@
-"""A chart of dots as inline SVG, in the colours of its page: it prints, follows light and dark."""
+"""Dot charts as inline SVG in the colours of their page, for print, light and dark modes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _WIDE, _LEFT, _RIGHT, _TALL = 560.0, 110.0, 20.0, 26.0
 
 @dataclass(frozen=True)
 class Dot:
-    """A value, and the bounds that it should lie in, if any."""
+    """A value, and the bounds that it should lie in; None for no bounds."""
 
     value: float
     bounds: tuple[float, float] | None = None
@@ -26,14 +26,14 @@ def chart(
     end: float | None = None,
     marks: Sequence[float] | None = None,
 ) -> str:
-    """An SVG with dots of every series in named rows, from zero rightwards.
+    """Draw an SVG chart with dots of every series in named rows, on an axis from zero.
 
     Args:
         rows: Names of the rows.
-        series: A dot for each row by the name of the series; bounds are drawn as bars.
+        series: Dots, one for each row, by name of the series; bounds are drawn as bars.
         unit: Label of the axis.
-        end: End of the axis; a round number beyond the largest value unless given.
-        marks: A value in each row to compare with.
+        end: End of the axis; None for a round number beyond the largest value.
+        marks: Reference values, one for each row.
     """
     most, step = _axis(max((d.value for c in series.values() for d in c if d), default=0.0), end)
     bottom = _TALL * len(rows) + 8
@@ -61,12 +61,12 @@ def chart(
 
 
 def colour(series: int) -> str:
-    """The colour of a series."""
+    """Colour of a series."""
     return COLOURS[series % len(COLOURS)]
 
 
 def key(names: Sequence[str]) -> str:
-    """Which colour is which series."""
+    """HTML legend of the series' colours."""
     dots = (
         f'<span class="key"><i style="background:{colour(k)}"></i>{escape(name)}</span>'
         for k, name in enumerate(names)
@@ -86,7 +86,7 @@ def _dot(dot: Dot | None, x: Callable[[float], float], y: float, fill: str, name
 
 
 def _axis(largest: float, end: float | None) -> tuple[float, float]:
-    """Where the axis ends, and the step of its marks."""
+    """End of the axis, and the step of its ticks."""
     largest = end or largest or 1.0
     power = 10.0 ** float(f"{largest:e}".split("e")[1])
     step = next(n * power for n in (0.2, 0.5, 1.0, 2.0) if largest <= 6 * n * power)
