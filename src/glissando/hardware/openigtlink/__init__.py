@@ -1,4 +1,4 @@
-"""OpenIGTLink: messages as bytes and as values, and peers that send and receive them."""
+"""OpenIGTLink: encoding and decoding of messages, and connections to peers."""
 
 from glissando.hardware.openigtlink.endpoint import Endpoint, EndpointUser
 from glissando.hardware.openigtlink.message import (

@@ -1,8 +1,8 @@
-"""Addresses of OpenIGTLink peers: whom to call, or where to listen, and what their numbers mean.
+"""Addresses of OpenIGTLink peers: host and port, mode, units, axes and clock.
 
-Units and axes of a peer are millimetres and RAS as 3D Slicer has them, or others. 3D Slicer's world
-is RAS: x to the right of the patient, y to the front (anterior), z to the head (superior). In LPS x
-points left and y to the back. Our world frame is taken for RAS as it stands.
+The unit of length and the axes are millimetres and RAS as in 3D Slicer, or others. RAS is 3D
+Slicer's world: x to the right of the patient, y to the front (anterior), z to the head (superior).
+In LPS x points left and y to the back. The world frame of glissando is taken to be RAS.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import numpy as np
 from glissando.errors import DeviceError
 from glissando.geometry.se3 import Array
 
-PORT = 18944  # by custom
+PORT = 18944  # the customary port
 _LOCAL = "127.0.0.1"
 _UNITS = {"mm": 1e-3, "m": 1.0}
 _AXES = ("ras", "lps")
 _CLOCKS = ("fitted", "shared", "arrival", "sender")
-_LONGEST = (1 << 31) - 1  # ms: what the message that asks has room for
+_LONGEST = (1 << 31) - 1  # ms: the largest interval that the request can represent
 SENT = ("frames", "tip", "line", "tube", "ellipsoids", "points", "status", "readings")
-"""What can be sent of an update; all but the readings unless the address says otherwise."""
+"""Parts of an update that can be sent; all but the readings by default."""
 _HINT = (
     "give igtl://host:port to call a server, igtl-server://host:port to be one; after a ? "
     "unit=mm|m, axes=ras|lps, clock=fitted|shared|arrival|sender, start=MS, send="
@@ -32,25 +32,25 @@ _PREFIXES = {
     0x0: 1.0, 0x1: 1e1, 0x2: 1e2, 0x3: 1e3, 0x4: 1e6, 0x5: 1e9, 0x6: 1e12, 0x7: 1e15,
     0x9: 1e-1, 0xA: 1e-2, 0xB: 1e-3, 0xC: 1e-6, 0xD: 1e-9, 0xE: 1e-12, 0xF: 1e-15,
 }  # fmt: skip
-"""Of a SENSOR's unit, by its first four bits; six units of ten bits follow."""
-_METRES = (0x01 << 54, 0x01 << 54 | 1 << 50)  # with or without its exponent of one
+"""SI prefix of a SENSOR's unit, by its first four bits; six base units of ten bits follow."""
+_METRES = (0x01 << 54, 0x01 << 54 | 1 << 50)  # with or without the exponent one
 _UNIT_BITS = (1 << 60) - 1
 
 
 @dataclass(frozen=True)
 class Address:
-    """Where a peer is and how it counts.
+    """Address of a peer, with its conventions.
 
     Attributes:
-        host: Name or number; where we listen, the interface.
-        port: TCP port; 0 is any free one where we listen.
-        listens: Whether we wait for peers, instead of calling one.
-        scale: Metres of the peer's unit of length.
-        axes: "ras", or "lps" where x and y point the other way.
-        clock: How stamps become times: "fitted" to their arrivals, "shared" if both computers have
-            one clock (NTP), "arrival" if stamps mean nothing, "sender" to keep the sender's time.
-        start: Milliseconds between the TDATA we ask the peer for; 0 asks for none.
-        send: What an update consists of, of `SENT`.
+        host: Name or address of the host; of the network interface for a server.
+        port: TCP port; for a server, 0 is any free one.
+        listens: Whether to be a server and wait for peers, instead of connecting to one.
+        scale: The peer's unit of length, m.
+        axes: "ras", or "lps" if x and y have the opposite sign.
+        clock: Conversion of stamps to times: "fitted" to their arrivals, "shared" if both computers
+            have one clock (NTP), "arrival" to ignore stamps, "sender" to keep the sender's time.
+        start: Interval in ms at which the peer is requested to send TDATA; 0 for no request.
+        send: Parts of an update that are sent, from `SENT`.
     """
 
     host: str
@@ -64,13 +64,13 @@ class Address:
 
     @classmethod
     def parse(cls, text: str) -> Address:
-        """The address of a text: igtl://host:port to call, igtl-server://host:port to listen.
+        """Parse igtl://host:port (connect) or igtl-server://host:port (listen).
 
-        Without a host it is 127.0.0.1, without a port 18944. After a question mark may stand
+        The default host is 127.0.0.1, the default port 18944. Options may follow a question mark:
         unit=m, axes=lps, clock=shared, start=20, send=tip,tube, joined by &.
 
         Raises:
-            DeviceError: The text is no such address.
+            DeviceError: The text is not such an address.
 
         >>> address = Address.parse("igtl-server://:18945?unit=m")
         >>> address.host, address.port, address.listens, address.scale
@@ -94,10 +94,10 @@ class Address:
 
     @classmethod
     def of_rig(cls, text: str) -> Address:
-        """The address of a device of a rig, whose times are this computer's.
+        """Parse the address of a device of a rig, whose times are on this computer's clock.
 
         Raises:
-            DeviceError: The text is none, or keeps another time.
+            DeviceError: The text is not an address, or has clock=sender.
         """
         out = cls.parse(text)
         if out.clock == "sender":
@@ -110,40 +110,40 @@ class Address:
 
 @dataclass(frozen=True)
 class WireFrame:
-    """How a peer states positions: metres a unit of `scale`, and the signs (3,) of its axes."""
+    """Convention of a peer for positions: unit of length, m, and signs (3,) of the axes."""
 
     scale: float = 1e-3
     signs: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     @classmethod
     def of(cls, address: Address) -> WireFrame:
-        """The frame that an address states."""
+        """Convention that an address states."""
         lps = address.axes == "lps"
         return cls(address.scale, (-1.0, -1.0, 1.0) if lps else (1.0, 1.0, 1.0))
 
     def pose_in(self, pose: Array) -> Array:
-        """A peer's pose (4, 4), in metres and our axes."""
+        """Convert a peer's pose (4, 4) to metres and the axes of glissando."""
         out = np.array(pose, dtype=float)
         out[:3, 3] *= self.scale
         out[:3] *= np.array(self.signs)[:, None]
         return out
 
     def poses_out(self, poses: Array) -> Array:
-        """Our poses (…, 4, 4) as the peer takes them."""
+        """Convert poses (…, 4, 4) to the peer's unit and axes."""
         out = np.array(poses, dtype=float)
         out[..., :3, 3] /= self.scale
         out[..., :3, :] *= np.array(self.signs)[:, None]
         return out
 
     def points_out(self, points: Array) -> Array:
-        """Our points (…, 3) as the peer takes them."""
+        """Convert points (…, 3) to the peer's unit and axes."""
         return points * np.array(self.signs) / self.scale
 
     def length_unit(self, unit: int) -> float:
-        """Metres of a SENSOR's unit; the frame's own where it states none.
+        """Unit of a SENSOR message in metres; `scale` if the message states none.
 
         Raises:
-            DeviceError: The unit is none of length.
+            DeviceError: The unit is not one of length.
         """
         prefix = _PREFIXES.get(unit >> 60)
         if not unit & _UNIT_BITS and prefix == 1.0:

@@ -1,8 +1,8 @@
-"""What messages say: a class a type, each with its bytes. Lengths are as on the wire.
+"""Contents of messages: a class for each type, with its encoding. Lengths are as on the wire.
 
 The protocol leaves the unit of length to the peers; by custom it is the millimetre. Numbers are
-float32 on the wire, big-endian, and stay as they came; `glissando.hardware.openigtlink.address`
-converts them.
+big-endian float32 on the wire, and are not converted here but by
+`glissando.hardware.openigtlink.address`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from glissando.hardware.openigtlink.fields import (
 )
 from glissando.hardware.openigtlink.polydata import PolyData
 
-REFERENCE, TOOL_6D, TOOL_3D, TOOL_5D = 1, 2, 3, 4  # what a tool of TDATA measures
+REFERENCE, TOOL_6D, TOOL_3D, TOOL_5D = 1, 2, 3, 4  # kinds of tools in TDATA
 _TOOL = np.dtype([("name", "S20"), ("kind", "u1"), ("reserved", "u1"), ("columns", FLOAT, (4, 3))])
 _POINT = struct.Struct(">64s32s4s3ff20s")
 _STATUS = struct.Struct(">Hq20s")
@@ -39,16 +39,16 @@ _SCALARS = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: 
 
 
 class Content(Protocol):
-    """The content of a message of one type."""
+    """Content of a message of one type."""
 
     type_id: ClassVar[str]
 
     def pack(self) -> bytes:
-        """The content's bytes."""
+        """Encode the content."""
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """The content of bytes. Raises MessageError."""
+        """Decode the content. Raises MessageError."""
 
 
 def _require(good: bool, kind: str, data: bytes) -> None:
@@ -66,12 +66,12 @@ class Transform:
     type_id: ClassVar[str] = "TRANSFORM"
 
     def pack(self) -> bytes:
-        """48 bytes."""
+        """Encode in 48 bytes."""
         return pack_pose(self.matrix)
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """From 48 bytes."""
+        """Decode 48 bytes."""
         _require(len(data) == POSE, cls.type_id, data)
         return cls(unpack_pose(data))
 
@@ -85,13 +85,13 @@ class Position:
     type_id: ClassVar[str] = "POSITION"
 
     def pack(self) -> bytes:
-        """12 or 28 bytes."""
+        """Encode in 12 or 28 bytes."""
         turn = np.zeros(0) if self.quaternion is None else self.quaternion
         return np.concatenate([self.position, turn]).astype(FLOAT).tobytes()
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """From 12 bytes, or 28; of 24 the quaternion's w follows from its length."""
+        """Decode 12 or 28 bytes; in 24 bytes, w of the unit quaternion is omitted."""
         _require(len(data) in (12, 24, 28), cls.type_id, data)
         numbers = floats(data)
         position, turn = numbers[:3], numbers[3:]
@@ -102,7 +102,7 @@ class Position:
 
 @dataclass(frozen=True)
 class Tool:
-    """A tool of a tracker: its name, what is measured of it (TOOL_6D, …), its pose (4, 4)."""
+    """A tool of a tracker: its name, its kind (TOOL_6D, …), and its pose (4, 4)."""
 
     name: str
     kind: int
@@ -111,13 +111,13 @@ class Tool:
 
 @dataclass(frozen=True)
 class TrackingData:
-    """All tools of a tracker at one moment."""
+    """All tools of a tracker at one instant."""
 
     tools: tuple[Tool, ...]
     type_id: ClassVar[str] = "TDATA"
 
     def pack(self) -> bytes:
-        """70 bytes a tool."""
+        """Encode in 70 bytes for each tool."""
         table = np.zeros(len(self.tools), _TOOL)
         table["name"] = [fixed_text(tool.name, 20) for tool in self.tools]
         table["kind"] = [tool.kind for tool in self.tools]
@@ -127,7 +127,7 @@ class TrackingData:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """From 70 bytes a tool."""
+        """Decode 70 bytes for each tool."""
         _require(len(data) % _TOOL.itemsize == 0, cls.type_id, data)
         tools = []
         for name, kind, _, columns in np.frombuffer(data, _TOOL):
@@ -137,7 +137,7 @@ class TrackingData:
 
 @dataclass(frozen=True)
 class Point:
-    """A named point: position (3,), radius, group, colour [r, g, b, a], and who owns it."""
+    """A named point: position (3,), radius, group, colour [r, g, b, a], and owner."""
 
     name: str
     position: Array
@@ -155,7 +155,7 @@ class Points:
     type_id: ClassVar[str] = "POINT"
 
     def pack(self) -> bytes:
-        """136 bytes a point."""
+        """Encode in 136 bytes for each point."""
         out = []
         for p in self.points:
             name, group, owner = (
@@ -167,7 +167,7 @@ class Points:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """From 136 bytes a point."""
+        """Decode 136 bytes for each point."""
         _require(len(data) % _POINT.size == 0, cls.type_id, data)
         return cls(
             tuple(
@@ -181,7 +181,7 @@ class Points:
 
 @dataclass(frozen=True)
 class Status:
-    """How a device is: code 1 is good, the protocol's list says of others; a name and a text."""
+    """Status of a device: code (1 is good, others as in the protocol), name of the error, text."""
 
     code: int
     message: str = ""
@@ -190,13 +190,13 @@ class Status:
     type_id: ClassVar[str] = "STATUS"
 
     def pack(self) -> bytes:
-        """31 bytes and the text."""
+        """Encode in 31 bytes and the text."""
         head = _STATUS.pack(self.code, self.subcode, fixed_text(self.name, 20))
         return head + self.message.encode() + b"\0"
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """From 31 bytes or more, the last of them zero."""
+        """Decode 31 bytes or more, of which the last is zero."""
         _require(len(data) > _STATUS.size and data[-1] == 0, cls.type_id, data)
         code, subcode, name = _STATUS.unpack_from(data)
         return cls(code, text_of(data[_STATUS.size :]), text_of(name), subcode)
@@ -211,7 +211,7 @@ class Text:
     type_id: ClassVar[str] = "STRING"
 
     def pack(self) -> bytes:
-        """4 bytes and the text. Raises DeviceError when it is too long."""
+        """Encode in 4 bytes and the text. Raises DeviceError if it is too long."""
         raw = self.text.encode()
         if len(raw) > 0xFFFF:
             raise DeviceError(f"A text of {len(raw)} bytes is too long for STRING; send less.")
@@ -219,7 +219,7 @@ class Text:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """From 4 bytes and as many as they state."""
+        """Decode 4 bytes and the number of bytes that they state."""
         _require(len(data) >= _STRING.size, cls.type_id, data)
         encoding, length = _STRING.unpack_from(data)
         _require(len(data) == _STRING.size + length, cls.type_id, data)
@@ -228,7 +228,7 @@ class Text:
 
 @dataclass(frozen=True)
 class SensorValues:
-    """Up to 255 numbers (N,) with a unit, which the protocol packs into 64 bits, and a status."""
+    """Up to 255 numbers (N,) with a unit, encoded in 64 bits by the protocol, and a status."""
 
     values: Array
     unit: int = 0
@@ -236,7 +236,7 @@ class SensorValues:
     type_id: ClassVar[str] = "SENSOR"
 
     def pack(self) -> bytes:
-        """10 bytes, and 8 a number."""
+        """Encode in 10 bytes, and 8 for each number."""
         values = np.asarray(self.values, dtype=">f8")
         if values.size > 255:
             raise DeviceError(f"SENSOR holds 255 numbers, not {values.size}; send an NDARRAY.")
@@ -244,7 +244,7 @@ class SensorValues:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """From 10 bytes and 8 a number."""
+        """Decode 10 bytes, and 8 for each number."""
         _require(len(data) >= _SENSOR.size, cls.type_id, data)
         count, status, unit = _SENSOR.unpack_from(data)
         _require(len(data) == _SENSOR.size + 8 * count, cls.type_id, data)
@@ -253,13 +253,13 @@ class SensorValues:
 
 @dataclass(frozen=True)
 class NumberArray:
-    """An array of numbers of any shape, in the type it was sent."""
+    """An array of numbers of any shape, in the type of the message."""
 
     values: NDArray[np.generic]
     type_id: ClassVar[str] = "NDARRAY"
 
     def pack(self) -> bytes:
-        """Type and shape, then the numbers row by row."""
+        """Encode type and shape, then the numbers in row-major order."""
         values = np.asarray(self.values)
         code = next((c for c, name in _SCALARS.items() if np.dtype(name) == values.dtype), 0)
         if not code or values.ndim > 255 or max(values.shape, default=0) > 0xFFFF:
@@ -272,18 +272,18 @@ class NumberArray:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """From type, shape and exactly as many numbers."""
+        """Decode type, shape, and exactly as many numbers."""
         _require(len(data) >= 2 and data[0] in _SCALARS, cls.type_id, data)
         begin = 2 + 2 * data[1]
         _require(len(data) >= begin, cls.type_id, data)
         shape = np.frombuffer(data[2:begin], ">u2").tolist()
         kind, count = np.dtype(">" + _SCALARS[data[0]]), 1
-        for side in shape:  # Python's numbers do not overflow
+        for side in shape:  # Python's integers do not overflow
             count *= side
         _require(len(data) - begin == count * kind.itemsize, cls.type_id, data)
         try:
             values = np.frombuffer(data, kind, offset=begin).reshape(shape)
-        except ValueError:  # numpy has fewer dimensions than the protocol, and sides overflow it
+        except ValueError:  # numpy allows fewer dimensions than the protocol; sizes may overflow
             raise MessageError(
                 f"An NDARRAY of {len(shape)} sides, {max(shape)} the longest, cannot be held; send "
                 f"one of fewer."
@@ -293,19 +293,19 @@ class NumberArray:
 
 @dataclass(frozen=True)
 class StartTracking:
-    """Asks a tracker to send TDATA every `interval` ms in a frame it knows by name."""
+    """Request to a tracker to send TDATA every `interval` ms in a frame given by name."""
 
     interval: int
     frame: str = ""
     type_id: ClassVar[str] = "STT_TDATA"
 
     def pack(self) -> bytes:
-        """36 bytes."""
+        """Encode in 36 bytes."""
         return _START.pack(self.interval, fixed_text(self.frame, 32))
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """From 36 bytes."""
+        """Decode 36 bytes."""
         _require(len(data) == _START.size, cls.type_id, data)
         interval, frame = _START.unpack(data)
         return cls(interval, text_of(frame))
@@ -318,4 +318,4 @@ CONTENTS: dict[str, type[Content]] = {
         StartTracking, PolyData,
     )
 }  # fmt: skip
-"""The contents that are read and written, by type."""
+"""Classes of the supported contents, by type."""

@@ -1,8 +1,8 @@
-"""The CRC-64 of OpenIGTLink: ECMA-182, most significant bit first, beginning at zero.
+"""CRC-64 of OpenIGTLink: ECMA-182, most significant bit first, with initial value zero.
 
 The checksum is linear: that of a message is the sum (XOR) of its words' checksums, each shifted by
-the bytes that follow it. Neighbouring words are therefore folded in pairs, all at once.
-Source: ECMA-182, annex B; the protocol's own name for it is crc64.
+the number of bytes that follow the word. Neighbouring words are therefore combined in pairs, all at
+once. Source: ECMA-182, annex B; the protocol calls it crc64.
 """
 
 from functools import lru_cache
@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 
 _POLYNOMIAL = 0x42F0E1EBA9EA3693
 _WORD = 8  # bytes
-_ROWS = 256 * np.arange(_WORD)  # where the table of each byte begins
+_ROWS = 256 * np.arange(_WORD)  # start of the table of each byte
 
 Words = NDArray[np.uint64]
 
 
 def crc64(data: bytes) -> int:
-    """The checksum of bytes.
+    """Checksum of bytes.
 
     >>> hex(crc64(b"123456789"))
     '0x6c40df5f0b497347'
     """
-    padded = data.rjust(_WORD * -(-len(data) // _WORD), b"\0")  # zeros in front do not change it
+    padded = data.rjust(_WORD * -(-len(data) // _WORD), b"\0")  # leading zeros do not change it
     words = np.frombuffer(padded or bytes(_WORD), dtype=">u8").astype("<u8")
     span = _WORD
     while words.size > 1:
@@ -35,7 +35,7 @@ def crc64(data: bytes) -> int:
 
 
 def _shifted(words: Words, span: int) -> Words:
-    """The checksums (M,) that words (M,) leave after `span` zero bytes."""
+    """Checksums (M,) of words (M,) followed by `span` zero bytes."""
     each = np.ascontiguousarray(words, dtype="<u8").view(np.uint8).reshape(-1, _WORD)
     out: Words = np.bitwise_xor.reduce(_tables(span).take(each + _ROWS), axis=1)
     return out
@@ -43,7 +43,7 @@ def _shifted(words: Words, span: int) -> Words:
 
 @lru_cache(maxsize=64)
 def _tables(span: int) -> Words:
-    """What each value of each byte of a word, the last byte first, leaves; (8, 256)."""
+    """Contribution of each value of each byte of a word to `_shifted`, last byte first (8, 256)."""
     if span > _WORD:
         half = _tables(span // 2)
         return np.stack([_shifted(row, span // 2) for row in half])

@@ -1,6 +1,6 @@
-"""An OpenIGTLink peer of ours: sends updates to all who listen, and reads what they send.
+"""A connection to OpenIGTLink peers: sends updates to all of them, and receives their messages.
 
-The work is done by `exchange` in a process of its own. Nothing here waits for a peer.
+A separate process, `peer_server`, does the work. Nothing here waits for a peer.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from glissando.hardware.openigtlink.fields import MessageError
 from glissando.hardware.openigtlink.link import ARRIVAL, Packet, PacketLink
 from glissando.hardware.openigtlink.message import Message, decode
 
-_START, _END = 60.0, 5.0  # s that the process may take to begin and to end
-_MOST = 256  # messages that one look takes, so that a flood cannot hold the caller up
-_LOOKS = 8  # that take all that waits: as many messages as the process keeps
+_START, _END = 60.0, 5.0  # s allowed for the process to start and to end
+_MOST = 256  # messages per call of `receive`, so that a flood cannot delay the caller
+_LOOKS = 8  # calls that take all waiting messages: _MOST × _LOOKS is the process's buffer
 
 
 class Endpoint:
-    """A client or a server, at an address as `Address.parse` reads it; a context manager.
+    """A client or a server, at an address in the form of `Address.parse`; a context manager.
 
     Args:
-        address: igtl://host:port calls there, again and again until somebody answers;
-            igtl-server://host:port listens there, on 127.0.0.1 unless a host is given.
-        hears: Whether messages of peers are received, and not just thrown away.
+        address: igtl://host:port connects, with retries until a server answers;
+            igtl-server://host:port listens, on 127.0.0.1 unless a host is given.
+        hears: Whether messages of peers are received; otherwise they are discarded.
 
     Attributes:
-        address: The address in parts, its port the one that is listened at.
-        peers: How many peers are connected.
-        counts: Events: peers 'connected', 'lost', 'silent', 'refused' for what they sent, 'turned
+        address: The parsed address; its port is the one that is listened on.
+        peers: Number of connected peers.
+        counts: Events: peers 'connected', 'lost', 'silent', 'refused' for invalid data, 'turned
             away'; 'updates dropped' for slow peers; 'messages dropped', 'malformed' or 'of unread
-            types'; 'not sent', because the process had not taken the update before.
+            types'; 'not sent', because the process had not accepted the previous update.
 
     Raises:
-        DeviceError: The address is wrong, or cannot be listened at; in any method, the process
-            that speaks with peers has ended.
+        DeviceError: The address is invalid, or cannot be listened on; from any method, the process
+            that communicates with the peers has ended.
     """
 
     def __init__(self, address: str, *, hears: bool = True) -> None:
@@ -58,14 +58,14 @@ class Endpoint:
 
     @property
     def counts(self) -> Counter[str]:
-        """How often something happened, by its name."""
+        """Number of events by name."""
         return self._own + self._theirs
 
     def __enter__(self) -> Self:
         with socket.create_server(("127.0.0.1", 0)) as door:
             port, token = door.getsockname()[1], secrets.token_bytes(16)
             command = [sys.executable, "-m", "glissando.hardware.openigtlink.peer_server"]
-            # A session of its own: Ctrl-C at the terminal is for the estimator alone.
+            # In a session of its own, so that Ctrl-C at the terminal reaches the estimator alone.
             self._process = subprocess.Popen(
                 [*command, str(port), self.text, self._mode],
                 stdin=subprocess.PIPE,
@@ -78,7 +78,7 @@ class Endpoint:
                 self._link = PacketLink(_met(door, token))
                 deadline = time.monotonic() + _START
                 while not self._started and time.monotonic() < deadline:
-                    self._early = self.receive()  # all that has come so far
+                    self._early = self.receive()  # messages that have arrived so far
                     time.sleep(0.005)
             except BaseException:
                 self.close()
@@ -89,7 +89,7 @@ class Endpoint:
         self.close()
 
     def close(self) -> None:
-        """Close the link, with which the process ends."""
+        """Close the link, upon which the process ends."""
         if self._link is not None:
             self._link.close()
         if self._process is not None:
@@ -101,10 +101,10 @@ class Endpoint:
         self._link = None
 
     def send(self, messages: Sequence[bytes]) -> bool:
-        """Send encoded messages, as one update that each peer gets whole or not at all.
+        """Send encoded messages as one update, which each peer gets completely or not at all.
 
         Returns:
-            Whether the process took them; it never waits for it.
+            Whether the process accepted them; the call does not wait for it.
         """
         sent = self._open().send(Packet.BUNDLE, b"".join(messages))
         self._own["not sent"] += not sent
@@ -112,10 +112,10 @@ class Endpoint:
         return sent
 
     def receive(self) -> list[tuple[float, Message]]:
-        """Messages that came since the last call, 256 at most, with their arrivals.
+        """Messages that have arrived since the last call, 256 at most, with their arrival times.
 
         Returns:
-            Seconds of time.monotonic() at which each came, and the message.
+            Pairs of arrival time, s of time.monotonic(), and message.
         """
         out, self._early = self._early, []
         link = self._open()
@@ -137,7 +137,7 @@ class Endpoint:
         return out
 
     def receive_all(self) -> list[tuple[float, Message]]:
-        """What `receive` gives until nothing waits: the newest is among it, and a flood ends."""
+        """Messages of up to eight calls of `receive`, which end when no message is waiting."""
         out: list[tuple[float, Message]] = []
         for _ in range(_LOOKS):
             if not (came := self.receive()):
@@ -156,11 +156,11 @@ class Endpoint:
 
 
 class EndpointUser:
-    """What speaks with peers through an endpoint of its own; a context manager.
+    """Base of sources, sinks and trackers that own an endpoint; a context manager.
 
     Args:
         address: As `Endpoint` takes it.
-        hears: Whether messages of peers are received, and not just thrown away.
+        hears: Whether messages of peers are received rather than discarded.
     """
 
     def __init__(self, address: str, *, hears: bool = True) -> None:
@@ -177,17 +177,17 @@ class EndpointUser:
 
     @property
     def port(self) -> int:
-        """The port that is called or listened at."""
+        """Port that is connected to, or listened on."""
         return self._endpoint.address.port
 
     @property
     def counts(self) -> Counter[str]:
-        """What was left out, and what happened to the peers."""
+        """Numbers of values dropped, and of events of the connection, by name."""
         return self._own + self._endpoint.counts
 
 
 def _met(door: socket.socket, token: bytes) -> socket.socket:
-    """The connection of the process that states the token. Raises DeviceError."""
+    """Accept the connection of the process that sends the token. Raises DeviceError."""
     deadline = time.monotonic() + _START
     while (left := deadline - time.monotonic()) > 0.0:
         door.settimeout(left)
@@ -199,5 +199,5 @@ def _met(door: socket.socket, token: bytes) -> socket.socket:
         with suppress(OSError):
             if secrets.compare_digest(connected.recv(16, socket.MSG_WAITALL), token):
                 return connected
-        connected.close()  # somebody else found the port
+        connected.close()  # another program connected to the port
     raise DeviceError("The process that speaks with peers did not start; start it again.")

@@ -1,8 +1,8 @@
-"""The link between an estimator and the process that speaks with its peers.
+"""Link between an estimator and the process that communicates with its peers.
 
-Packets go both ways over a socket of this machine: a length, a kind, and bytes. The estimator's
-side never waits; where the other does not keep up, what is oldest is dropped and counted there,
-and here a packet that finds the last one still on its way.
+Packets go both ways over a local socket: length, kind and data. The estimator's side never waits: a
+packet is not sent while the previous one is incomplete, and the process drops and counts the oldest
+of its own when they are not read in time.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ class Packet(IntEnum):
     """Kinds of packets."""
 
     BUNDLE = 0  # messages for all peers
-    MESSAGE = 1  # of a peer, after its arrival
-    REPORT = 2  # of how the peers are, in JSON
-    FAILURE = 3  # why there can be no peers
+    MESSAGE = 1  # arrival time and message of a peer
+    REPORT = 2  # number of peers, port and counts, in JSON
+    FAILURE = 3  # reason why there cannot be peers
 
 
 class PacketLink:
-    """Packets over a connected socket, without waiting."""
+    """Packets over a connected socket, without blocking."""
 
     def __init__(self, connected: socket.socket) -> None:
         connected.setblocking(False)
@@ -39,11 +39,11 @@ class PacketLink:
 
     @property
     def clear(self) -> bool:
-        """Whether the last packet is on its way whole."""
+        """Whether the last packet has been sent completely."""
         return not self._out
 
     def send(self, kind: int, data: bytes) -> bool:
-        """Send a packet; False, and nothing is sent, while an earlier one is on its way."""
+        """Send a packet; False, without effect, while an earlier one is incomplete."""
         self.flush()
         if self._out or self.ended:
             return False
@@ -52,7 +52,7 @@ class PacketLink:
         return True
 
     def flush(self) -> None:
-        """Send what is left of the last packet, as far as it goes."""
+        """Send as much of the last packet as the socket accepts."""
         while self._out and not self.ended:
             try:
                 self._out = self._out[self.socket.send(self._out) :]
@@ -62,7 +62,7 @@ class PacketLink:
                 self.ended = True
 
     def receive(self, most: int = 1 << 20) -> list[tuple[int, bytes]]:
-        """Packets that have come, `most` of them, and about a megabyte, at a time."""
+        """Packets that have arrived, at most `most` of them and about a megabyte in a call."""
         if len(self._held) < _MOST_READ:
             self._read()
         at, out = 0, list[tuple[int, bytes]]()

@@ -1,9 +1,9 @@
-"""One OpenIGTLink message as bytes and as values, and whole messages out of a stream of bytes.
+"""Encoding of an OpenIGTLink message, and separation of a stream of bytes into messages.
 
 A message has a header, an extended header, metadata and content. Every size is compared with the
-bytes at hand before anything is made of it, the checksum is verified before the body is looked at,
-and a stream takes bounded memory whatever a peer sends. Source: OpenIGTLink protocol, header
-versions 1 to 3 (openigtlink.org); version 3 is read as version 2, whose layout it has.
+available bytes before it is used, the checksum is verified before the body is parsed, and a stream
+takes bounded memory whatever a peer sends. Source: OpenIGTLink protocol, header versions 1 to 3
+(openigtlink.org); version 3 has the layout of version 2 and is read as such.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _EXTENDED = struct.Struct(">HHII")
 _COUNT, _ENTRY = struct.Struct(">H"), struct.Struct(">HHI")
 _VERSIONS = (1, 2, 3)
 _ASCII, UTF8 = 3, 106  # character sets, IANA MIBenum
-TICKS = 1 << 32  # of a stamp in a second
+TICKS = 1 << 32  # units of a stamp per second
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,11 @@ class Header:
     """The first 58 bytes of a message.
 
     Attributes:
-        version: Of the header: 1, or 2 and 3 with extended header and metadata.
+        version: Header version: 1, or 2 and 3 with extended header and metadata.
         type_id: Type of the message.
         device: Name of the device.
-        stamp: Time in units of 2⁻³² s since the epoch of the sender's clock; 0 if it states none.
-        size: Bytes of the body.
+        stamp: Time in units of 2⁻³² s since the epoch of the sender's clock; 0 for none.
+        size: Size of the body, bytes.
         crc: Checksum of the body.
     """
 
@@ -52,11 +52,11 @@ class Message:
     """One message.
 
     Attributes:
-        content: What it says.
+        content: Content of the message.
         device: Name of the device, 20 bytes at most.
         stamp: Time in units of 2⁻³² s since the epoch of the sender's clock; 0 for none.
-        version: Of the header, 1 or 2; only 2 has an identity and metadata.
-        identity: A number of the sender's.
+        version: Header version, 1 or 2; only 2 has an identity and metadata.
+        identity: Message number assigned by the sender.
         metadata: Texts by key.
     """
 
@@ -69,7 +69,7 @@ class Message:
 
 
 def stamp_of(seconds: float) -> int:
-    """Seconds as a stamp, the nearest multiple of 2⁻³² s.
+    """Convert seconds to a stamp, the nearest multiple of 2⁻³² s.
 
     >>> stamp_of(1.5) == 3 << 31
     True
@@ -81,16 +81,16 @@ def stamp_of(seconds: float) -> int:
 def seconds_since(stamp: int, origin: int) -> float:
     """Seconds from one stamp to another, exact below 2²⁰ s of difference.
 
-    A stamp of today as one float of seconds would be rounded to 0.2 µs.
+    A present-day stamp in seconds as a single float would be rounded to 0.2 µs.
     """
     return (stamp - origin) / TICKS
 
 
 def encode(message: Message) -> bytes:
-    """A message as bytes.
+    """Encode a message.
 
     Raises:
-        DeviceError: A text is too long for its field, or version 1 is to carry metadata.
+        DeviceError: A text is too long for its field, or a version 1 message has metadata.
     """
     body = message.content.pack()
     if message.version >= 2:
@@ -114,7 +114,7 @@ def _extended(message: Message, content: bytes) -> bytes:
 
 
 def read_header(data: bytes) -> Header:
-    """The header that bytes begin with.
+    """Decode the header at the beginning of `data`.
 
     Raises:
         MessageError: There are fewer than 58 bytes, or the version is unknown.
@@ -131,13 +131,13 @@ def read_header(data: bytes) -> Header:
 
 
 def decode(data: bytes) -> Message:
-    """The message that bytes are.
+    """Decode a message.
 
     Args:
         data: Exactly one message.
 
     Raises:
-        MessageError: Bytes are missing or damaged, the type is none of `CONTENTS`, or sizes
+        MessageError: Bytes are missing or damaged, the type is not in `CONTENTS`, or sizes
             contradict each other or the protocol.
     """
     header = read_header(data)
@@ -193,26 +193,26 @@ def _metadata(index: bytes, data: bytes) -> dict[str, str]:
 
 
 class Framer:
-    """Cuts a stream into messages; bodies of types that are not read are passed over, not kept.
+    """Separates a stream into messages; bodies of unsupported types are skipped and not stored.
 
     Args:
-        most: Bytes that the body of a message may have if it is of a type that is read.
+        most: Largest size of the body of a message of a supported type, bytes.
 
     Attributes:
-        skipped: How many messages of types that are not read were passed over.
+        skipped: Number of messages of unsupported types that were skipped.
     """
 
     def __init__(self, most: int = 1 << 22) -> None:
         self.skipped = 0
         self._held = bytearray()
         self._most, self._pass_over = most, 0
-        self._size: int | None = None  # of the message that has begun
+        self._size: int | None = None  # of the incomplete message
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The messages that are whole now, unchecked but for their headers.
+        """Append bytes, and return the messages now complete, of which only headers are checked.
 
         Raises:
-            MessageError: No message begins here, or it is too large: the stream is lost.
+            MessageError: A header is invalid or its message too large, so the stream is lost.
         """
         self._held += data
         out: list[bytes] = []
@@ -230,7 +230,7 @@ class Framer:
                 return out
 
     def _begin(self, header: Header) -> None:
-        """Decide whether the next message is kept or passed over."""
+        """Determine from its header whether the next message is kept or skipped."""
         size = HEADER + header.size
         if header.type_id not in CONTENTS:
             self.skipped += 1

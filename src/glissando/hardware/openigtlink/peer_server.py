@@ -1,11 +1,11 @@
-"""The process that speaks with OpenIGTLink peers, so that none of them can hold an estimator up.
+"""The process that communicates with OpenIGTLink peers, so that none can delay an estimator.
 
 `python -m glissando.hardware.openigtlink.peer_server PORT ADDRESS MODE` connects to the estimator
 at PORT of this machine, sends the token that it reads from standard input, and then listens at
-ADDRESS or calls there, again and again; what peers send is passed on if MODE is "hear", else thrown
-away.
-Each peer has a queue of a few updates; one that reads too slowly misses the oldest. What a peer
-sends is bounded in size and rate. The process ends with the estimator's side of the link.
+ADDRESS or connects to it, with retries. Messages of peers are passed on if MODE is "hear", and
+discarded otherwise.
+Each peer has a queue of a few updates; if it reads too slowly, the oldest are dropped. The data of
+a peer are bounded in size and rate. The process ends with the estimator's side of the link.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from glissando.hardware.openigtlink.fields import MessageError
 from glissando.hardware.openigtlink.link import ARRIVAL, Packet, PacketLink
 from glissando.hardware.openigtlink.message import Framer, Message, encode
 
-_PEERS = 16  # that may be connected at once
-_QUEUE = 4  # updates that wait for a peer
-_KERNEL = 1 << 17  # bytes the system may hold for a peer: what is there already is stale
-_WAITING = 2048  # messages that wait for the estimator
+_PEERS = 16  # largest number of connected peers
+_QUEUE = 4  # updates in the queue of a peer
+_KERNEL = 1 << 17  # bytes that the system may buffer for a peer; buffered updates become stale
+_WAITING = 2048  # messages queued for the estimator
 _HEARD = 1 << 22  # bytes a second that a peer may send
-_OVERHEARD = 1 << 16  # the same of a peer that nobody listens to
+_OVERHEARD = 1 << 16  # the same if messages are discarded
 _READ = 1 << 16
-_DEAD = 10.0  # s without room for a byte after which a peer is let go
-_AGAIN = 0.5  # s between calls
-_CALL = 2.0  # s for a call to be answered
+_DEAD = 10.0  # s in which a peer accepts no byte before it is disconnected
+_AGAIN = 0.5  # s between attempts to connect
+_CALL = 2.0  # s allowed for an attempt
 _REPORT = 0.25  # s between reports
-_REST, _LOOK = 0.05, 0.001  # s without an event before looking again; with messages to pass on
+_REST, _LOOK = 0.05, 0.001  # s of waiting for an event; while messages are to be passed on
 
 
 @dataclass
 class _Peer:
-    """A connected peer, what waits for it, and how much it may still send in this second."""
+    """A connected peer, its queue of updates, and the bytes it may still send in this second."""
 
     socket: socket.socket
     framer: Framer = field(default_factory=Framer)
@@ -52,7 +52,7 @@ class _Peer:
     budget: int = 0
 
     def push(self) -> None:
-        """Send as much as the peer takes. Raises OSError when it is gone."""
+        """Send as much as the peer accepts. Raises OSError if it has disconnected."""
         while self.going or self.waiting:
             self.going = self.going or memoryview(self.waiting.popleft())
             try:
@@ -64,15 +64,15 @@ class _Peer:
 
 
 class PeerServer:
-    """Peers at an address, on one side, and the estimator's link on the other.
+    """Connects peers at an address with the estimator's link.
 
     Args:
-        address: Where peers are.
-        link: The link to the estimator.
-        hears: Whether what peers say is passed on.
+        address: Address of the peers.
+        link: Link to the estimator.
+        hears: Whether messages of peers are passed on.
 
     Raises:
-        DeviceError: The address cannot be listened at.
+        DeviceError: The address cannot be listened on.
     """
 
     def __init__(self, address: Address, link: PacketLink, *, hears: bool = True) -> None:
@@ -85,7 +85,7 @@ class PeerServer:
         self._selector.register(link.socket, selectors.EVENT_READ)
         self._server: socket.socket | None = None
         self._calling: socket.socket | None = None
-        self._failed = 0  # calls: a host may have several addresses, which are called in turn
+        self._failed = 0  # attempts: a host may have several addresses, which are tried in turn
         self._next_call = self._next_report = self._second = time.monotonic()
         self._reported = 0  # peers
         self.port = address.port
@@ -106,7 +106,7 @@ class PeerServer:
         self._selector.register(self._server, selectors.EVENT_READ)
 
     def run(self) -> None:
-        """Speak with peers until the estimator's side is gone."""
+        """Serve peers until the estimator's side of the link is closed."""
         while not self._link.ended:
             self._call()
             for key, events in self._selector.select(_LOOK if self._messages else _REST):
@@ -131,7 +131,7 @@ class PeerServer:
                 self._push(self._peers[ready])
 
     def _call(self) -> None:
-        """Call the peer unless it is there, or was called a moment ago."""
+        """Connect to the peer unless it is connected, or an attempt was made recently."""
         now = time.monotonic()
         if self.address.listens or self._peers or now < self._next_call:
             return
@@ -150,7 +150,7 @@ class PeerServer:
                 self._calling.connect(where)
             except BlockingIOError:
                 pass
-            except OSError:  # there is no way: it is not called, so nobody answers
+            except OSError:  # no route to the host: the attempt has failed
                 self._hang_up()
 
     def _hang_up(self) -> None:
@@ -201,7 +201,7 @@ class PeerServer:
         self._select_events(peer)
 
     def _select_events(self, peer: _Peer) -> None:
-        """Wait for what the peer may do next: take more, or send more."""
+        """Select the events of a peer: writable with queued updates, readable within its budget."""
         busy = bool(peer.going or peer.waiting)
         events = selectors.EVENT_WRITE * busy | selectors.EVENT_READ * (peer.budget > 0)
         current = self._selector.get_map().get(peer.socket)
@@ -259,7 +259,7 @@ class PeerServer:
                 self._let_go(peer, "silent")
 
     def _pass_on(self) -> None:
-        """Pass on messages, and report how things are: now and then, and when peers change."""
+        """Pass on messages, and report at intervals and when the number of peers changes."""
         link = self._link
         while self._messages and link.send(Packet.MESSAGE, self._messages[0]):
             self._messages.popleft()
@@ -271,7 +271,7 @@ class PeerServer:
 
 
 def main(arguments: list[str]) -> None:
-    """Connect to the estimator and serve peers; its port, address and mode are the arguments."""
+    """Connect to the estimator and serve peers; the arguments are its port, address and mode."""
     connected = socket.create_connection(("127.0.0.1", int(arguments[0])))
     connected.sendall(sys.stdin.buffer.read(16))
     link = PacketLink(connected)

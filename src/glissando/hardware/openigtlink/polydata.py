@@ -1,4 +1,4 @@
-"""POLYDATA: points, cells between them and numbers at them, as a mesh viewer takes them."""
+"""POLYDATA: a mesh of points, cells and attributes, for mesh viewers."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from glissando.hardware.openigtlink.fields import MessageError, floats
 _HEADER = struct.Struct(">10I")
 _ATTRIBUTE = struct.Struct(">BBI")
 _SCALAR = 0
-_WIDTH = {1: 3, 2: 3, 3: 9, 4: 4}  # numbers that a vector, normal, tensor and colour have
-_LONGEST = 255  # bytes of an attribute's name
-_MOST = 64  # attributes that a message may have
+_WIDTH = {1: 3, 2: 3, 3: 9, 4: 4}  # components of a vector, normal, tensor and colour
+_LONGEST = 255  # largest size of an attribute's name, bytes
+_MOST = 64  # largest number of attributes
 
 Cells = tuple[NDArray[np.integer], ...]
-"""Cells of one kind, each the numbers of its points."""
+"""Cells of one kind, each given by the indices of its points."""
 
 
 @dataclass(frozen=True)
 class Attribute:
-    """Numbers (M, C) at points or cells: their name and kind (0 is a scalar of C components)."""
+    """Values (M, C) at points or cells, with name and kind (0 is a scalar of C components)."""
 
     name: str
     values: Array
@@ -38,12 +38,12 @@ class PolyData:
     """A mesh.
 
     Attributes:
-        points: Points (M, 3), in the wire's unit of length.
+        points: Points (M, 3), in the unit of length of the connection.
         vertices: Cells that are points.
         lines: Cells that are polylines.
         polygons: Cells that are polygons.
-        strips: Cells that are strips of triangles.
-        attributes: Numbers at the points, or at the cells, by their count.
+        strips: Cells that are triangle strips.
+        attributes: Values at the points or at the cells, according to their number.
     """
 
     points: Array
@@ -55,10 +55,10 @@ class PolyData:
     type_id: ClassVar[str] = "POLYDATA"
 
     def pack(self) -> bytes:
-        """Header, points, cells of each kind, attributes.
+        """Encode header, points, cells of each kind, and attributes.
 
         Raises:
-            DeviceError: There are too many attributes, or the name of one is too long.
+            DeviceError: There are too many attributes, or a name is too long.
         """
         points = np.asarray(self.points, dtype=">f4")
         kinds = self.vertices, self.lines, self.polygons, self.strips
@@ -84,7 +84,7 @@ class PolyData:
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:
-        """From header, points, cells and attributes, which must fill the bytes exactly."""
+        """Decode header, points, cells and attributes, which must fill the bytes exactly."""
         rest = _Bytes(data)
         count, *sizes, attributes = _HEADER.unpack(rest.take(_HEADER.size))
         points = floats(rest.take(12 * count)).reshape(count, 3)
@@ -96,7 +96,7 @@ class PolyData:
 
 
 class _Bytes:
-    """Bytes that are taken from the front; nothing is made of more than there are."""
+    """A reader of bytes from the front, which checks that enough are left."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self._at = data, 0
@@ -124,7 +124,7 @@ class _Bytes:
 
 
 def _pack_cells(cells: Cells | NDArray[np.integer]) -> bytes:
-    """Each cell's number of points, then their numbers."""
+    """Encode the number of points of each cell, followed by their indices."""
     if not len(cells):
         return b""
     if isinstance(cells, np.ndarray):  # cells of one size: without a loop

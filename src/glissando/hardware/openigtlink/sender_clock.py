@@ -1,4 +1,4 @@
-"""Stamps of a sender's clock as times of this computer's."""
+"""Conversion of stamps of a sender's clock to times of this computer's clock."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from glissando.hardware.drivers.clock import ClockFit
 from glissando.hardware.openigtlink.message import seconds_since, stamp_of
 
 _PERIOD = 1e-6  # s: stamps are fitted in microseconds
-_RESET = 5_000_000  # of these back, and the sender's clock was set
-_STEP = 0.1  # s later than the newest message came, and it may have been set
-_FEW, _SPAN = 3, 100_000  # messages in a row, and of these between them, which show that it was
+_RESET = 5_000_000  # µs back, beyond which the sender's clock was set
+_STEP = 0.1  # s later than the newest message was, beyond which the clock may have been set
+_FEW, _SPAN = 3, 100_000  # successive messages, and µs between them, that confirm it
 
 
 class SenderClock:
-    """Maps stamps to time.monotonic(), in one of the modes of an `Address`.
+    """Converts stamps to time.monotonic(), in one of the modes of an `Address`.
 
     Args:
         mode: "fitted", "shared" or "arrival".
@@ -23,16 +23,16 @@ class SenderClock:
     def __init__(self, mode: str = "fitted") -> None:
         self._mode, self._newest = mode, -1
         self._fit = ClockFit(_PERIOD, 1 << 60)
-        self._late = 0.0  # s by which the newest came later than others
-        self._behind, self._first = 0, 0  # messages in a row that seem set back, and their first
+        self._late = 0.0  # s by which the newest message arrived later than others
+        self._behind, self._first = 0, 0  # successive messages that seem set back, and their first
         self._wall, self._monotonic = stamp_of(time.time()), time.monotonic()
 
     def monotonic(self, stamp: int, arrival: float) -> float:
-        """When a message was stamped, s of time.monotonic(); its arrival if it has no stamp.
+        """Time at which a message was stamped, s of time.monotonic(); its arrival without a stamp.
 
         Args:
             stamp: The stamp.
-            arrival: When the message came, s of time.monotonic().
+            arrival: Time at which the message arrived, s of time.monotonic().
         """
         if stamp == 0 or self._mode == "arrival":
             return arrival
@@ -46,10 +46,10 @@ class SenderClock:
         return self._fit.time(count)
 
     def _set_back(self, count: int, arrival: float) -> bool:
-        """Whether the sender's clock was set, and this is no message that a newer one overtook.
+        """Whether the sender's clock was set back, not the message overtaken by a newer one.
 
-        Those of several devices may come in any order, and late together, but then none is much
-        later than the newest was, or they are of one moment.
+        Messages of several devices may arrive in any order, and late together; but then none is
+        much later than the newest was, or all have nearly the same stamp.
         """
         if self._newest - count > _RESET:
             return True
@@ -61,5 +61,5 @@ class SenderClock:
         return self._behind >= _FEW and count - self._first >= _SPAN
 
     def std_time(self) -> float:
-        """Standard deviation of the newest time, s, as far as arrivals tell."""
+        """Standard deviation of the newest time, s, estimated from arrivals."""
         return self._fit.std_time(self._newest) if self._newest >= 0 else 0.0

@@ -1,4 +1,4 @@
-"""A stage whose driver is an OpenIGTLink peer: goals as TRANSFORM, positions as it states them."""
+"""A stage driven by an OpenIGTLink peer: goals as TRANSFORM, and measured positions in return."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ COMMAND, MEASURED = "StageTarget", "Stage"
 
 
 class IgtlStagePeer:
-    """Sends goals and hears positions along z of the stage's own frame; a context manager.
+    """Sends goals and receives positions along z of the stage's own frame; a context manager.
 
-    A SENSOR message states the position by its first number, in its own unit.
+    A SENSOR message contains the position as its first number, in its own unit.
 
     Args:
-        address: As `Endpoint` takes it.
-        stage: Names its devices.
+        address: Address as `Endpoint` takes it.
+        stage: Settings with the names of the devices for goals and positions.
 
     Attributes:
-        counts: What happened to the peer.
+        counts: Events of the connection by name.
 
     Raises:
-        DeviceError: The address is wrong.
+        DeviceError: The address is invalid.
     """
 
     def __init__(self, address: str, stage: RemoteStage) -> None:
@@ -50,7 +50,7 @@ class IgtlStagePeer:
         self._endpoint.close()
 
     def positions(self) -> list[tuple[float, float]]:
-        """Times and positions that have come, but no more messages than may wait."""
+        """Times and positions that have arrived, from a limited number of messages."""
         out = []
         for arrival, message in self._endpoint.receive_all():
             if places := self._places(message):
@@ -65,7 +65,7 @@ class IgtlStagePeer:
         return [float(pose[2, 3]) for name, _, pose in poses if name == self._measured]
 
     def send(self, place: float, speed: float) -> None:
-        """Send a goal; the protocol has no place for its speed."""
+        """Send a goal; the speed is ignored, as the protocol cannot represent it."""
         pose = np.eye(4)
         pose[2, 3] = place
         goal = c.Transform(self._frame.poses_out(pose))
@@ -73,5 +73,5 @@ class IgtlStagePeer:
 
     @property
     def problem(self) -> str:
-        """Why nothing comes; empty while a peer is there."""
+        """Reason why no positions arrive; empty while a peer is connected."""
         return "" if self._endpoint.peers else f"nobody answers at {self._endpoint.text}"

@@ -1,4 +1,4 @@
-"""An OpenIGTLink peer as a tracker: PLUS with whatever it is connected to."""
+"""An OpenIGTLink peer as a tracker, such as PLUS with any tracker that it supports."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from glissando.hardware.openigtlink.endpoint import EndpointUser
 from glissando.hardware.openigtlink.message import Message
 from glissando.hardware.openigtlink.sender_clock import SenderClock
 
-SKEW = 1e-2  # by which a rotation may fail to be one
-_PAUSE = 0.002  # s between looks
+SKEW = 1e-2  # tolerance of RRᵀ = 1
+_PAUSE = 0.002  # s between polls
 
 
 def poses_in(message: Message, frame: WireFrame) -> Iterator[tuple[str, str, Array]]:
     """Name, kind of sensor and pose (4, 4) in m of each device in a message.
 
-    A tool of five degrees of freedom is a coil, one of three a position; else a device with an
+    A tool of five degrees of freedom is a coil, one of three a position; any other device with an
     orientation is a pose.
     """
     content = message.content
@@ -40,20 +40,20 @@ def poses_in(message: Message, frame: WireFrame) -> Iterator[tuple[str, str, Arr
         pose[:3, 3] = content.position
         if content.quaternion is not None:
             turn = se3.rotation_from_quaternion(np.roll(content.quaternion, 1))
-            pose[:3, :3] = turn * np.sum(np.square(content.quaternion))  # is_rigid sees its norm
+            pose[:3, :3] = turn * np.sum(np.square(content.quaternion))  # for is_rigid
         kind = "position" if content.quaternion is None else "pose"
         yield message.device, kind, frame.pose_in(pose)
 
 
 def is_rigid(pose: Array) -> bool:
-    """Whether a pose (4, 4) that came as float32 is a rigid motion."""
+    """Whether a pose (4, 4) received as float32 is a rigid motion, within `SKEW`."""
     turn = pose[:3, :3]
     sound = np.all(np.isfinite(pose)) and np.linalg.det(turn) > 0.0
     return bool(sound and np.abs(turn @ turn.T - np.eye(3)).max() <= SKEW)
 
 
 def normalized(pose: Array) -> Array:
-    """The pose with the nearest rotation."""
+    """Pose with its rotation replaced by the nearest orthogonal matrix."""
     left, _, right = np.linalg.svd(pose[:3, :3])
     return se3.pose(left @ right, pose[:3, 3])
 
@@ -62,15 +62,15 @@ class IgtlTracker(EndpointUser):
     """Reads TRANSFORM, POSITION and TDATA of named devices as frames; a context manager.
 
     Args:
-        address: As `Endpoint` takes it.
-        names: The devices; others are counted.
+        address: Address as `Endpoint` takes it.
+        names: Names of the devices; poses of others are counted and dropped.
 
     Attributes:
-        tools: The devices as tools, each its name for a serial number.
-        counts: Poses left out ('unplaced', 'invalid', 'repeated'), and what happened to the peer.
+        tools: The devices as tools, with their names as serial numbers.
+        counts: Poses dropped ('unplaced', 'invalid', 'repeated'), and events of the connection.
 
     Raises:
-        DeviceError: The address is wrong.
+        DeviceError: The address is invalid.
     """
 
     def __init__(self, address: str, names: Sequence[str]) -> None:
@@ -82,7 +82,7 @@ class IgtlTracker(EndpointUser):
         self._last: dict[int, bytes] = {}
 
     def read(self, timeout: float) -> Frame | None:
-        """The devices of the next message that has new poses; None when none came in time.
+        """Wait for a message with new poses, and return them as a frame; None after a timeout.
 
         Args:
             timeout: Seconds to wait.
@@ -92,7 +92,7 @@ class IgtlTracker(EndpointUser):
             while self._waiting:
                 if (frame := self._frame_of(*self._waiting.popleft())) is not None:
                     return frame
-            if time.monotonic() > deadline:  # whatever else a peer sends
+            if time.monotonic() > deadline:  # even if the peer keeps sending other messages
                 return None
             self._waiting += self._endpoint.receive()
             if not self._waiting:

@@ -1,7 +1,7 @@
-"""A managed node in a ROS 2 graph of its own context, and the settings of an address.
+"""A managed node in a ROS 2 graph with its own context, and the options of an address.
 
 The node has the life cycle of https://design.ros2.org/articles/node_lifecycle.html: unconfigured,
-inactive, active, finalized. It activates itself unless a manager is to do that.
+inactive, active, finalized. It activates itself unless the address has start=managed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _TYPES = ("pose", "transform")
 _CLOCKS = ("shared", "arrival", "sender", "sim")
 _STARTS = ("self", "managed")
 ROS_PACKAGES = "ROS 2 needs its packages, of Python 3.11 or of a sourced installation"
-"""What a missing package means."""
+"""Start of the error message for a missing package."""
 _HINT = (
     "give ros2, and after a ? domain=0, name=glissando, frame=world, type=pose|transform, "
     "travel=/TOPIC, clock=shared|arrival|sender|sim, start=self|managed, params=FILE."
@@ -28,19 +28,19 @@ _HINT = (
 
 @dataclass(frozen=True)
 class Ros2Address:
-    """How a node takes part in a graph.
+    """Address of a ROS 2 graph, with the options of a node in it.
 
     Attributes:
         domain: ROS domain.
-        name: Name of the node, and the namespace of what it publishes.
-        frame: The world frame's name in headers.
-        type: What poses come as: PoseStamped ("pose") or TransformStamped ("transform").
+        name: Name of the node, and namespace of its topics.
+        frame: Name of the world frame in headers.
+        type: Type of messages of poses: PoseStamped ("pose") or TransformStamped ("transform").
         travel: Topic of a JointState whose first position is the slide's travel; empty for none.
-        clock: How stamps become times, as for OpenIGTLink: "shared", "arrival" or "sender"; "sim"
-            sets the parameter use_sim_time, with which the session follows the topic /clock.
-        start: Who configures and activates the node: it does so by itself ("self"), or waits for
-            a manager ("managed").
-        params: File of parameters, as `ros2 run … --params-file` takes it; empty for none.
+        clock: Conversion of stamps to times, as for OpenIGTLink: "shared", "arrival" or "sender";
+            "sim" sets the parameter use_sim_time, so that the session follows the topic /clock.
+        start: Whether the node configures and activates itself ("self") or waits for a manager to
+            do so ("managed").
+        params: File of parameters, as for `ros2 run … --params-file`; empty for none.
     """
 
     domain: int = 0
@@ -54,10 +54,10 @@ class Ros2Address:
 
     @classmethod
     def parse(cls, text: str) -> Ros2Address:
-        """The address of a text such as ros2?domain=5&type=transform.
+        """Parse an address such as ros2?domain=5&type=transform.
 
         Raises:
-            DeviceError: The text is none.
+            DeviceError: The text is not such an address, or the file of parameters does not exist.
         """
         try:
             parts = urlsplit(text)
@@ -77,10 +77,10 @@ class Ros2Address:
 
     @classmethod
     def of_rig(cls, text: str) -> Ros2Address:
-        """The address of a device of a rig, whose times are this computer's.
+        """Parse the address of a device of a rig, whose times are on this computer's clock.
 
         Raises:
-            DeviceError: The text is none, or keeps another time.
+            DeviceError: The text is not an address, or has another clock.
         """
         out = cls.parse(text)
         if out.clock not in ("shared", "arrival"):
@@ -91,20 +91,20 @@ class Ros2Address:
 
 
 class Graph:
-    """A managed node while the context lasts.
+    """A managed node that exists while the context lasts.
 
     Args:
-        address: How it takes part.
-        suffix: Ends the node's name.
-        configure: Called when the node becomes inactive at first, to declare what it has.
-        cleanup: Called when it becomes unconfigured again, to give that back.
+        address: Address with the node's options.
+        suffix: End of the node's name.
+        configure: Called when the node is configured, to create publishers and subscriptions.
+        cleanup: Called when the node is cleaned up or shut down, to destroy them.
 
     Attributes:
         node: The rclpy node.
         state: "unconfigured", "inactive", "active" or "finalized".
 
     Raises:
-        DeviceError: rclpy or a package of messages is not installed, or the node does not start.
+        DeviceError: rclpy or a message package is not installed, or the node does not start.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class Graph:
         self.configure, self.cleanup = configure, cleanup
         self.node: Any = None
         self.state = "unconfigured"
-        self._failure = ""  # of the last transition, which rclpy does not pass on
+        self._failure = ""  # of the last transition, which rclpy does not report
         self._context: Any = None
         self._executor: Any = None
 
@@ -158,14 +158,14 @@ class Graph:
 
     @property
     def problem(self) -> str:
-        """Why the node does nothing; empty while it is active."""
+        """Reason why the node is not active; empty while it is."""
         if self.state == "active":
             return ""
         why = f" ({self._failure})" if self._failure else ""
         return f"the ROS 2 node {self.name} is {self.state}{why}"
 
     def move(self, state: str, action: Callable[[], None]) -> None:
-        """Do what leads to a state, and take it."""
+        """Perform the action of a transition, and set the new state if it succeeds."""
         self._failure = ""
         try:
             action()
@@ -175,9 +175,9 @@ class Graph:
         self.state = state
 
     def spin(self, most: int = 256) -> None:
-        """Run what is ready, about `most` callbacks at a time; never waits.
+        """Run waiting callbacks, about `most` at a time; does not wait.
 
-        A look of the executor ends after one message of each topic: it is empty if there was none.
+        One wait of the executor yields at most one message of each topic, hence the repetition.
         """
         worked = True
         for _ in range(most):
@@ -190,17 +190,17 @@ class Graph:
                 continue
             worked = True
             ready()
-            ready.result()  # raises what the callback raised
+            ready.result()  # raises the exception of the callback, if any
 
 
 def _in_a_line(problem: Exception) -> str:
-    """What rcl says in a line, with a mark below."""
+    """Message of an rcl error on one line, without the line that marks its position."""
     lines = [line.strip() for line in str(problem).splitlines()]
     return " ".join(line for line in lines if line != "^")
 
 
 def _managed_node(graph: Graph, context: Any) -> Any:
-    """A node whose life cycle is that of a graph."""
+    """Construct a lifecycle node whose transitions are those of a graph."""
     from rclpy.lifecycle import LifecycleNode
     from rclpy.parameter import Parameter
 
@@ -227,12 +227,12 @@ def _managed_node(graph: Graph, context: Any) -> Any:
 
 
 def measured_at(stamp: Any, arrival: float, clock: str) -> float:
-    """When a message was measured, s of time.monotonic().
+    """Time at which a message was measured, s of time.monotonic().
 
     Args:
-        stamp: Of its header; zero if it states none.
-        arrival: When it came, s of time.monotonic().
-        clock: "shared", or "arrival" where stamps mean nothing.
+        stamp: Stamp of its header; zero for none.
+        arrival: Time at which it arrived, s of time.monotonic().
+        clock: "shared", or "arrival" to ignore stamps.
     """
     if clock == "arrival" or not (stamp.sec or stamp.nanosec):
         return arrival
@@ -240,12 +240,12 @@ def measured_at(stamp: Any, arrival: float, clock: str) -> float:
 
 
 def profile(depth: int, *, reliable: bool, latched: bool = False) -> Any:
-    """A quality of service that keeps the last `depth` messages.
+    """Quality of service that keeps the last `depth` messages.
 
     Args:
-        depth: Messages that wait; the oldest is dropped.
+        depth: Size of the queue; the oldest message is dropped.
         reliable: Whether lost messages are sent again.
-        latched: Whether a late subscriber gets the last ones.
+        latched: Whether a late subscriber receives the last messages.
     """
     from rclpy import qos
 

@@ -1,13 +1,13 @@
-"""An update as markers of RViz and Foxglove.
+"""Markers of an update for RViz and Foxglove.
 
 | namespace | marker | |
 |---|---|---|
 | centreline | LINE_STRIP | |
-| tube95 | TRIANGLE_LIST | the surface inside which the robot lies with 95 % |
-| ellipsoids95 | SPHERE | of 95 % about each frame |
-| measured | ARROW | the axis of each coil and body, as it was measured last |
-| forces | ARROW | what acts on the robot where its prior expects loads |
-| forces95 | SPHERE | where the end of such an arrow lies with 95 % |
+| tube95 | TRIANGLE_LIST | the surface that contains the robot with 95 % probability |
+| ellipsoids95 | SPHERE | an ellipsoid of 95 % probability about each frame |
+| measured | ARROW | the z axis of each coil and body, as last measured |
+| forces | ARROW | estimated forces at the points where the prior has loads |
+| forces95 | SPHERE | an ellipsoid of 95 % probability about the tip of each such arrow |
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from glissando.geometry.se3 import Array
 from glissando.hardware.live.update import Loads, Update
 
 _AROUND = 8  # points of a ring of the tube
-_ARROW = 0.06  # of the robot's length: a measured axis
-_WIDTH = 0.004  # of the robot's length: a line
+_ARROW = 0.06  # length of a measured axis, as a fraction of the robot's length
+_WIDTH = 0.004  # width of a line, as a fraction of the robot's length
 Color = tuple[float, float, float]
 """Red, green and blue, from 0 to 1."""
 _BODY, _MEASURED, _FORCE = (0.35, 0.55, 0.75), (0.85, 0.45, 0.1), (0.8, 0.15, 0.2)
 
 
 class MarkerBuilder:
-    """Makes markers of updates, and poses and points of the messages' types.
+    """Constructs markers of updates, and messages of poses and points.
 
     Args:
         geometry: The module geometry_msgs.msg.
@@ -42,13 +42,13 @@ class MarkerBuilder:
         self._measured: dict[str, Array] = {}
 
     def note(self, update: Update) -> None:
-        """Remember which poses were measured last."""
+        """Store the latest measured poses of an update."""
         for readings in update.readings:
             if readings.values.shape[1:] == (4, 4):
                 self._measured[readings.label] = readings.values[-1]
 
     def pose(self, pose: Array) -> Any:
-        """A pose (4, 4) as a message."""
+        """Pose message of a pose (4, 4)."""
         out = self._geometry.Pose()
         out.position.x, out.position.y, out.position.z = pose[:3, 3].tolist()
         w, x, y, z = se3.quaternion(pose[:3, :3]).tolist()
@@ -63,9 +63,9 @@ class MarkerBuilder:
 
         Args:
             update: The update.
-            loads: What acts on the robot, if its prior knows its mechanics.
-            header: Of every marker.
-            metres_per_newton: Length of the arrow of a force.
+            loads: Estimated loads; None if the prior has none.
+            header: Header of every marker.
+            metres_per_newton: Length of a force's arrow per newton, m.
         """
         markers = [self._line(update), self._tube(update)]
         cov = update.state.position_covariance()
@@ -105,7 +105,7 @@ class MarkerBuilder:
         return tube
 
     def _ball(self, space: str, number: int, rgb: Color, pose: Array, cov: Array) -> Any:
-        """The ellipsoid of 95 % of a covariance (3, 3) along the axes of a pose."""
+        """Ellipsoid of 95 % of a covariance (3, 3) in the axes of a pose."""
         ball = self._marker(space, number, self._visualization.Marker.SPHERE, rgb)
         variance, axes = np.linalg.eigh(cov)
         turned = pose.copy()

@@ -1,16 +1,16 @@
-"""Updates as ROS 2 topics, which RViz, Foxglove and controllers read.
+"""Updates as ROS 2 topics, for RViz, Foxglove and controllers.
 
 | topic | type | |
 |---|---|---|
-| `/glissando/tip/measured_cp` | PoseStamped | the last frame |
-| `/glissando/tip/pose` | PoseWithCovarianceStamped | with its covariance, in world axes |
+| `/glissando/tip/measured_cp` | PoseStamped | pose of the last frame |
+| `/glissando/tip/pose` | PoseWithCovarianceStamped | the same with its covariance, in world axes |
 | `/glissando/frames` | PoseArray | all frames |
-| `/glissando/markers` | MarkerArray | as `MarkerBuilder` makes them |
-| `/glissando/tip/measured_cf` | WrenchStamped | what acts at the tip, of a mechanical prior |
+| `/glissando/markers` | MarkerArray | markers of `MarkerBuilder` |
+| `/glissando/tip/measured_cf` | WrenchStamped | load at the tip, for a mechanical prior |
 | `/diagnostics` | DiagnosticArray | once a second, if that package is installed |
 
-Publishers are reliable and keep the last message for late subscribers. A subscriber that asks for
-more, such as a deadline, gets nothing and is counted.
+Publishers are reliable and keep the last message for late subscribers. A subscriber that requests
+more, such as a deadline, receives nothing and is counted.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from glissando.hardware.live.update import Update
 from glissando.hardware.ros2.graph import ROS_PACKAGES, Graph, Ros2Address, profile
 from glissando.hardware.ros2.markers import MarkerBuilder
 
-_RATES = {"marker_rate": 10.0, "diagnostic_rate": 1.0}  # Hz, by default
+_RATES = {"marker_rate": 10.0, "diagnostic_rate": 1.0}  # default rates, Hz
 _NUMBERS = {**_RATES, "metres_per_newton": 0.2}
 
 
@@ -34,16 +34,16 @@ class Ros2Sink:
     """Publishes updates while its node is active.
 
     Parameters of the node: `frame_id` of headers, `marker_rate` and `diagnostic_rate` in Hz, and
-    `metres_per_newton`, the length of the arrow of a force.
+    `metres_per_newton`, the length of a force's arrow per newton.
 
     Args:
-        address: As `Ros2Address.parse` takes it.
+        address: Address as `Ros2Address.parse` takes it.
 
     Attributes:
-        counts: Subscribers 'incompatible' with what is offered.
+        counts: Number of 'incompatible subscribers', by their quality of service.
 
     Raises:
-        DeviceError: The address is wrong, or ROS 2 is not installed.
+        DeviceError: The address is invalid, or ROS 2 is not installed.
     """
 
     def __init__(self, address: str) -> None:
@@ -72,7 +72,7 @@ class Ros2Sink:
 
     @property
     def problem(self) -> str:
-        """Why nothing is published; empty while the node is active."""
+        """Reason why nothing is published; empty while the node is active."""
         return "" if self._graph.node is None else self._graph.problem
 
     def _advertise(self) -> None:
@@ -98,11 +98,11 @@ class Ros2Sink:
             self._declare_parameters()
 
     def _declare_parameters(self) -> None:
-        """Declare the node's parameters. Raises DeviceError for a value that cannot be."""
+        """Declare the node's parameters. Raises DeviceError for a value out of range."""
         from rcl_interfaces.msg import ParameterDescriptor
 
         node, defaults = self._graph.node, {"frame_id": self._address.frame, **_NUMBERS}
-        descriptor = ParameterDescriptor(dynamic_typing=True)  # 10 is a rate as 10.0 is
+        descriptor = ParameterDescriptor(dynamic_typing=True)  # a rate may be 10 or 10.0
         given = [node.declare_parameter(name, defaults[name], descriptor) for name in defaults]
         if not (checked := _checked(given)).successful:
             raise DeviceError(checked.reason)
@@ -117,11 +117,11 @@ class Ros2Sink:
         self._publishers = {}
 
     def poll(self) -> None:
-        """Answer managers and those who set parameters."""
+        """Handle requests to the node, such as transitions and changes of parameters."""
         self._graph.spin()
 
     def send(self, update: Update) -> None:
-        """Publish an update, unless a manager has said not to."""
+        """Publish an update, unless the node is inactive."""
         if self._graph.state != "active":
             return
         name, geometry = self._address.name, self._geometry
@@ -151,7 +151,7 @@ class Ros2Sink:
             self._publishers["/diagnostics"].publish(self._diagnosis(update))
 
     def _publish_markers(self, update: Update) -> None:
-        """Publish the markers, and what acts at the tip."""
+        """Publish the markers and the load at the tip."""
         name, loads, header = self._address.name, update.loads(), self._header(update)
         scale = float(self._graph.node.get_parameter("metres_per_newton").value)
         markers = self._markers.array(update, loads, header, scale)
@@ -164,7 +164,7 @@ class Ros2Sink:
             self._publishers[f"/{name}/tip/measured_cf"].publish(tip)
 
     def _period(self, rate: str) -> float:
-        """Seconds between messages whose rate is a parameter, less what rounding may take."""
+        """Seconds between messages at the rate of a parameter, less a rounding tolerance."""
         return 1.0 / float(self._graph.node.get_parameter(rate).value) - 1e-6
 
     def _header(self, update: Update) -> Any:
@@ -192,7 +192,7 @@ class Ros2Sink:
 
 
 def _checked(parameters: list[Any]) -> Any:
-    """Whether parameters may become what they are set to, and why not."""
+    """Validate new values of parameters; the result contains the reason of a rejection."""
     from rcl_interfaces.msg import SetParametersResult
 
     for parameter in parameters:

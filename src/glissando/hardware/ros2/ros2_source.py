@@ -21,28 +21,28 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.readings import Readings
 from glissando.model.slide_track import SlideTrack
 
-_DEPTH = 1024  # messages of a topic that wait
-_WAITING = 4096  # messages in all
+_DEPTH = 1024  # messages in the queue of a topic
+_WAITING = 4096  # messages queued in all
 _FAR = 20.0  # m from the origin: no tracker reaches there
 _FASTEST = 100.0  # rad/s
-_PATIENCE = 0.5  # s between looks at who publishes
+_PATIENCE = 0.5  # s between checks of the publishers
 
 
 class Ros2Source:
-    """Readings of devices that are topics; subscriptions take any publisher's quality of service.
+    """Readings of devices, one topic each; subscriptions accept any publisher's quality of service.
 
     Args:
-        address: As `Ros2Address.parse` takes it.
-        robot: The robot, which states the noise of each kind of sensor.
-        placements: Devices named by their topics; a "gyro" is an Imu, others are poses.
+        address: Address as `Ros2Address.parse` takes it.
+        robot: The robot, which defines the noise of each kind of sensor.
+        placements: Positions of devices named by their topics; a "gyro" is an Imu, others poses.
 
     Attributes:
-        counts: Messages 'heard', 'invalid', 'dropped' because too many waited, 'ignored' while the
-            node was inactive, of sliding devices while no travel was known ('no travel').
-        clock: Simulated time, if the node's parameter use_sim_time is set.
+        counts: Messages 'heard', 'invalid', 'dropped' because the queue was full, 'ignored' while
+            the node was inactive, and of sliding devices while the travel is unknown ('no travel').
+        clock: Clock of the simulated time, if the node's parameter use_sim_time is set; else None.
 
     Raises:
-        DeviceError: An address or a placement is wrong, or ROS 2 is not installed.
+        DeviceError: The address or a placement is invalid, or ROS 2 is not installed.
     """
 
     first: float | None = None
@@ -59,7 +59,7 @@ class Ros2Source:
         self._placements, self._slide = placements, SlideTrack()
         self._subscriptions: list[Any] = []
         self._silence, self._looked = "", -np.inf
-        self._waiting: deque[tuple[Placement | None, Any, float]] = deque()  # None: a travel
+        self._waiting: deque[tuple[Placement | None, Any, float]] = deque()  # None for the travel
         self._begun = False
 
     def __enter__(self) -> Self:
@@ -100,7 +100,7 @@ class Ros2Source:
 
     @property
     def problem(self) -> str:
-        """Which topics nobody publishes, or as another type; empty if none."""
+        """Topics without a publisher or of another type, as a phrase; empty if there are none."""
         if self._graph.node is None or self._graph.problem:
             return "" if self._graph.node is None else self._graph.problem
         if time.monotonic() - self._looked > _PATIENCE:
@@ -110,7 +110,7 @@ class Ros2Source:
         return self._silence
 
     def _silence_of(self, topic: str, kind: Any) -> str:
-        """Why a topic says nothing; empty if somebody publishes it."""
+        """Reason why no messages of a topic arrive; empty if it has a publisher of its type."""
         wanted = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
         published = self._graph.node.get_publishers_info_by_topic(topic)
         types = {publisher.topic_type for publisher in published}
@@ -134,11 +134,11 @@ class Ros2Source:
         self._slide.add(time, float(message.position[0]))
 
     def poll(self) -> None:
-        """Take what has come, as `read` does, which then reads it."""
+        """Receive the messages that have arrived; `read` converts them later."""
         self._graph.spin()
 
     def read(self, clock: SessionClock) -> list[Readings]:
-        """The readings that have come since the last call."""
+        """Readings that have arrived since the last call."""
         self.poll()
         out: list[Readings] = []
         while self._waiting:
@@ -167,7 +167,7 @@ class Ros2Source:
         else:
             value = pose_of(message, place.name)
             value = value[:3, 3] if kind == "position" else value
-        stream = place.name.strip("/").replace("/", "_")  # as a file is named
+        stream = place.name.strip("/").replace("/", "_")  # a valid file name
         return reading(self._robot, place, kind, stream, time, value, self._slide)
 
     def _time(self, message: Any, arrival: float, clock: SessionClock) -> float:
@@ -194,7 +194,7 @@ def pose_of(message: Any, name: str) -> Array:
         name: Its topic.
 
     Raises:
-        DeviceError: It is no rigid motion nearby.
+        DeviceError: The pose is not a rigid motion within 20 m.
     """
     inner = message.pose if hasattr(message, "pose") else message.transform
     place = inner.position if hasattr(inner, "position") else inner.translation

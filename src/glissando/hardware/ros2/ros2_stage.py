@@ -1,4 +1,4 @@
-"""A stage whose driver is a node of ROS 2: goals on one topic, its joint's state on another."""
+"""A stage driven by a ROS 2 node: goals on one topic, the state of its joint on another."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from typing import Any, Self
 from glissando.hardware.drivers.remote_stage import RemoteStage
 from glissando.hardware.ros2.graph import Graph, Ros2Address, measured_at, profile
 
-COMMAND, MEASURED = "/stage/servo_jp", "/stage/measured_js"  # as CRTK names them
-_DEPTH = 64  # messages that wait
+COMMAND, MEASURED = "/stage/servo_jp", "/stage/measured_js"  # CRTK's names
+_DEPTH = 64  # messages in the queue
 
 
 class Ros2StagePeer:
-    """Sends goals as JointState or Float64MultiArray and hears JointState; a context manager.
+    """Sends goals as JointState or Float64MultiArray, receives JointState; a context manager.
 
     Args:
-        address: As `Ros2Address.parse` takes it; its stamps are of this computer's wall clock
-            ("shared") or mean nothing ("arrival").
-        stage: Names its topics and its joint.
+        address: Address as `Ros2Address.parse` takes it, with clock=shared for stamps of this
+            computer's wall clock, or clock=arrival to ignore stamps.
+        stage: Settings with the names of its topics and its joint.
 
     Attributes:
         counts: Messages that were 'invalid'.
 
     Raises:
-        DeviceError: The address is wrong, or ROS 2 is not installed.
+        DeviceError: The address is invalid, or ROS 2 is not installed.
     """
 
     def __init__(self, address: str, stage: RemoteStage) -> None:
@@ -64,7 +64,7 @@ class Ros2StagePeer:
         self._come.append((measured, float(place)))
 
     def positions(self) -> list[tuple[float, float]]:
-        """Times and positions that have come."""
+        """Times and positions that have arrived."""
         self._graph.spin()
         out, self._come = self._come, []
         return out
@@ -80,7 +80,7 @@ class Ros2StagePeer:
 
     @property
     def problem(self) -> str:
-        """Who is missing in the graph; empty if nobody is."""
+        """Publisher or subscriber missing in the graph, as a phrase; empty if there is none."""
         if self._graph.problem:
             return self._graph.problem
         if not self._graph.node.count_publishers(self._measured):

@@ -1,4 +1,4 @@
-"""Topics of a ROS 2 graph as a tracker: any driver that publishes poses."""
+"""Topics of a ROS 2 graph as a tracker, for any driver that publishes poses."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from glissando.hardware.drivers.aurora_setup import Tool
 from glissando.hardware.ros2.graph import Graph, Ros2Address, measured_at, profile
 from glissando.hardware.ros2.ros2_source import pose_of
 
-_DEPTH = 64  # messages of a topic that wait
-_WAITING = 1024  # messages in all
-_PAUSE = 0.002  # s between looks
+_DEPTH = 64  # messages in the queue of a topic
+_WAITING = 1024  # messages queued in all
+_PAUSE = 0.002  # s between polls
 
 
 class Ros2Tracker:
     """Reads PoseStamped or TransformStamped topics as frames of one tool each; a context manager.
 
     Args:
-        address: As `Ros2Address.parse` takes it; its stamps are of this computer's wall clock
-            ("shared") or mean nothing ("arrival").
-        topics: The topics.
+        address: Address as `Ros2Address.parse` takes it, with clock=shared for stamps of this
+            computer's wall clock, or clock=arrival to ignore stamps.
+        topics: Names of the topics.
 
     Attributes:
-        tools: The topics as tools, each its name for a serial number.
-        counts: Messages that were 'invalid', or 'dropped' because too many waited.
+        tools: The topics as tools, with their names as serial numbers.
+        counts: Messages that were 'invalid', or 'dropped' because the queue was full.
 
     Raises:
-        DeviceError: The address is wrong, or ROS 2 is not installed.
+        DeviceError: The address is invalid, or ROS 2 is not installed.
     """
 
     def __init__(self, address: str, topics: Sequence[str]) -> None:
@@ -65,7 +65,7 @@ class Ros2Tracker:
             self.counts["dropped"] += 1
 
     def read(self, timeout: float) -> Frame | None:
-        """The pose of the next message; None when none came in time.
+        """Wait for the next message, and return its pose as a frame; None after a timeout.
 
         Args:
             timeout: Seconds to wait.

@@ -1,4 +1,4 @@
-"""Session time that follows the topic /clock, as a node with use_sim_time does."""
+"""Session time that follows the topic /clock, as for a node with use_sim_time."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from glissando.hardware.openigtlink import seconds_since, stamp_of
 from glissando.hardware.ros2.graph import Graph
 
 _SECOND = 1_000_000_000  # ns
-_EPOCH = 10**15  # ns: later times count from a calendar's beginning, not from a simulation's
-_BACK = 0.1  # s by which time may seem to go back, as with two publishers
-_SILENT = 20.0  # s of the host's clock without anybody who publishes /clock
-_LOOK = 0.001  # s
+_EPOCH = 10**15  # ns, above which times count from a calendar epoch, not a simulation's start
+_BACK = 0.1  # s by which time may seem to run backwards, as with two publishers
+_SILENT = 20.0  # s of the host's clock without a publisher of /clock
+_LOOK = 0.001  # s between polls
 
 
 class SimulatedClock(SessionClock):
-    """Session time is the simulated time, and stands while the simulation does.
+    """Session time equal to the simulated time, which pauses with the simulation.
 
-    If that counts from a calendar's beginning, the whole seconds at which it began are left out.
+    If that counts from a calendar epoch, the whole seconds of its first value are subtracted.
 
     Args:
-        graph: The node, whose parameter use_sim_time is set.
+        graph: Node whose parameter use_sim_time is set.
 
     Raises:
-        DeviceError: From `now` and `sleep_until`: time went back, or nobody publishes it any more.
+        DeviceError: From `now` and `sleep_until`: time ran backwards, or has no publisher any more.
     """
 
     def __init__(self, graph: Graph) -> None:
@@ -36,16 +36,16 @@ class SimulatedClock(SessionClock):
         self._origin: int | None = None
 
     def begin_at(self, first: float) -> None:
-        """Simulated time has a beginning of its own."""
+        """Do nothing: the origin of simulated time is given."""
 
     def of_nanoseconds(self, simulated: int) -> float:
-        """Session time of a simulated time in ns, s."""
+        """Session time, s, of a simulated time in ns."""
         if self._origin is None:
             self._origin = 0 if simulated < _EPOCH else simulated - simulated % _SECOND
         return 1e-9 * (simulated - self._origin)
 
     def now(self) -> float:
-        """Session time now, s; −∞ before the first message on /clock."""
+        """Present session time, s; −∞ before the first message on /clock."""
         simulated: int = self._graph.node.get_clock().now().nanoseconds
         if simulated < self._newest - _BACK * _SECOND:
             raise DeviceError(
@@ -56,7 +56,7 @@ class SimulatedClock(SessionClock):
         return self.of_nanoseconds(simulated) if simulated else -np.inf
 
     def of_monotonic(self, monotonic: float) -> float:
-        """Session time now: the host's clock says nothing about simulated time."""
+        """Present session time, s, whatever `monotonic`: host and simulated time are unrelated."""
         return self.now()
 
     def of_stamp(self, stamp: int) -> float:
@@ -64,7 +64,7 @@ class SimulatedClock(SessionClock):
         return seconds_since(stamp, self._begun)
 
     def stamp(self, session: float) -> int:
-        """The OpenIGTLink stamp of a session time in s."""
+        """OpenIGTLink stamp of a session time in s."""
         return self._begun + stamp_of(session)
 
     @property
@@ -72,7 +72,7 @@ class SimulatedClock(SessionClock):
         return (self._origin or 0) // _SECOND << 32
 
     def sleep_until(self, session: float) -> None:
-        """Wait until a session time, s, however long the simulation stands."""
+        """Wait until a session time, s, however long the simulation pauses."""
         published = time.monotonic()
         while self.now() < session:
             self._graph.spin()
