@@ -1,7 +1,7 @@
-"""Simulated devices: each a process of its own that speaks its device's bytes.
+"""Simulated devices: separate processes that implement the wire protocols of real ones.
 
 `python -m glissando.hardware.simulated_devices.NAME …` runs one, prints its address as one line
-when it is ready, and ends when its standard input closes or it is told to terminate.
+when it is ready, and ends when its standard input closes or on SIGTERM.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from typing import IO, Any
 
 from glissando.errors import SimulationError
 
-_END = 5.0  # s that a device has to end by itself
+_END = 5.0  # s allowed for a device to end by itself
 
 
 @contextlib.contextmanager
 def started(name: str, *options: str | os.PathLike[str], within: float = 60.0) -> Iterator[str]:
-    """A simulated device that runs while the context lasts; gives its address.
+    """Run a simulated device while the context lasts; the context yields its address.
 
     Args:
-        name: Its module here.
-        options: Its command line.
-        within: Seconds that it may take to become ready.
+        name: Name of its module in this package.
+        options: Arguments of its command line.
+        within: Seconds allowed for it to become ready.
 
     Raises:
-        SimulationError: It does not become ready; the sentence ends with its last output.
+        SimulationError: It does not become ready; the message ends with its last output.
     """
     command = [sys.executable, "-m", f"{__name__}.{name}", *(os.fspath(one) for one in options)]
     with tempfile.TemporaryFile() as errors:
         pipe = subprocess.PIPE
         streams: dict[str, Any] = {"stdin": pipe, "stdout": pipe, "stderr": errors}
-        # A session of its own: Ctrl-C at the terminal is for whoever uses the device.
+        # In a session of its own, so that Ctrl-C at the terminal does not reach the device.
         with subprocess.Popen(command, **streams, start_new_session=True) as process:
             try:
                 yield _first_line(process, errors, name, within)
@@ -54,7 +54,7 @@ def _first_line(
     process: subprocess.Popen[bytes], errors: IO[bytes], name: str, within: float
 ) -> str:
     assert process.stdout is not None
-    slow = threading.Timer(within, process.kill)  # ends the wait for a line that never comes
+    slow = threading.Timer(within, process.kill)  # bounds the wait for the first line
     slow.start()
     line = process.stdout.readline().decode().strip()
     slow.cancel()

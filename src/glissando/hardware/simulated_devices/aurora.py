@@ -1,4 +1,4 @@
-"""A simulated NDI Aurora in a process of its own.
+"""A simulated NDI Aurora in a separate process.
 
 python -m glissando.hardware.simulated_devices.aurora --scene FILE --tcp 0
 """
@@ -55,7 +55,7 @@ def _serve(options: argparse.Namespace) -> None:
     travel = None if options.travel is None else Travel(options.travel)
     sensing = Sensing(scene, travel, born, epoch, options.rate)
     if scene.coils:
-        sensing.values(0)  # compiles what it needs before anybody waits for a frame
+        sensing.values(0)  # compiles kernels before a client waits for a frame
     device = Device(scene, sensing, FaultDraws(faults, scene.seed), nature)
     serving = Serving(device.receive, device.cut)
     addresses = []

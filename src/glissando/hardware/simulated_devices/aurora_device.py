@@ -1,4 +1,4 @@
-"""A simulated Aurora: commands in, replies out, with the device's states and faults."""
+"""Simulated Aurora: replies to commands, with the states and faults of the device."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ _VERSION = (
     "Freeze Tag: {}\nFreeze Date: 2013-07-25\n(C) Northern Digital Inc.\n"
 )
 _OUT, _PARTLY, _BROKEN = 0x40, 0x80, 0x100
-_PLUGGED, _UNPLUGGED = 0x0040, 0x0080  # by ndicapi's numbering; NDI's sample has it one bit off
-_OLD = ("Rev 007", "Rev 008")  # firmware that does not know BX
+_PLUGGED, _UNPLUGGED = 0x0040, 0x0080  # numbered as in ndicapi; NDI's sample is one bit off
+_OLD = ("Rev 007", "Rev 008")  # firmware without BX
 _HEAD = 6  # bytes of a reply that a serial line delivers first
-_WIDE = 0x0800  # option: out-of-volume poses too
+_WIDE = 0x0800  # option: report poses outside the volume too
 _PORT_COMMANDS = {
     "PHF": "free",
     "PVWR": "write",
@@ -46,13 +46,13 @@ _PORT_COMMANDS = {
 
 @dataclass(frozen=True)
 class DeviceIdentity:
-    """What a device is.
+    """Constants of a simulated device.
 
     Attributes:
-        born: When it was switched on, s of time.monotonic().
+        born: Time at which it was switched on, s of time.monotonic().
         rate: Frames a second.
-        firmware: What it reports as its firmware.
-        wired: Whether replies take the time that the serial line's baud rate gives them.
+        firmware: Firmware that it reports.
+        wired: Whether replies take the time that a serial line needs at its baud rate.
     """
 
     born: float
@@ -66,9 +66,9 @@ class Sensing:
 
     Args:
         scene: The robot and its coils.
-        travel: Where the slide's travel comes from, if anywhere.
-        born: When the device was switched on, s of time.monotonic().
-        epoch: When the scene begins, by the same clock.
+        travel: Source of the slide's travel; None for zero travel.
+        born: Time at which the device was switched on, s of time.monotonic().
+        epoch: Time at which the scene begins, by the same clock.
         rate: Frames a second.
     """
 
@@ -95,15 +95,15 @@ class Sensing:
 
 
 class Device:
-    """The device's state machine. Times are of time.monotonic()."""
+    """State machine of the device. Times are of time.monotonic()."""
 
     def __init__(self, scene: Scene, sensing: Sensing, dice: FaultDraws, nature: DeviceIdentity):
         self._sensing, self._dice, self._nature = sensing, dice, nature
         faults = dice.faults
         without = {int(faults.srom), int(faults.bad_srom)}
         self._ports = Ports(scene.coils, without, int(faults.bad_srom))
-        self._tracked: float | None = None  # when tracking began first
-        self._zero = -int(faults.counter)  # the index whose number is 0
+        self._tracked: float | None = None  # time at which tracking first began
+        self._zero = -int(faults.counter)  # the index of the frame with number 0
         self._replies, self._before = 0, b""
         self._plugs = [(faults.unplug, _UNPLUGGED), (faults.replug, _PLUGGED)]
         self._reset_due = True
@@ -116,7 +116,7 @@ class Device:
         self._ports.clear()
 
     def receive(self, held: bytearray, now: float) -> list[tuple[float, bytes]]:
-        """Take whole commands out of what has come; when (s) to send what."""
+        """Execute and remove the complete commands in `held`; returns times (s) and replies."""
         answers = []
         while (end := held.find(b"\r")) >= 0:
             line, held[:] = bytes(held[:end]).strip(b"\n"), held[end + 1 :]
@@ -127,7 +127,7 @@ class Device:
         return [answer for answer in answers if answer[1]]
 
     def cut(self, now: float) -> bool:
-        """Whether the link is cut just now."""
+        """Whether the link is interrupted at present."""
         since = self._since(now)
         return self._dice.faults.cut <= since < self._dice.faults.mended
 
@@ -135,7 +135,7 @@ class Device:
         return -math.inf if self._tracked is None else now - self._tracked
 
     def _answer(self, line: bytes, now: float) -> list[tuple[float, bytes]]:
-        """What to send when: on a serial line the beginning of a reply comes before its end."""
+        """Times and bytes of a reply; on a serial line its beginning arrives before its end."""
         byte = 10.0 / self._baud if self._nature.wired else 0.0  # s
         now += (len(line) + 1) * byte
         tracking, name = self._tracking, ""
@@ -190,7 +190,7 @@ class Device:
             raise CommandError(0x0C)
 
     def _set_up(self, name: str, text: str, now: float) -> str:
-        """The reply to a command of the set-up mode."""
+        """Text of the reply to a command of the set-up mode."""
         if name == "VER":
             if text not in ("0", "4"):
                 raise CommandError(0x23)
@@ -220,7 +220,7 @@ class Device:
             self._tracked = now
 
     def _index(self, now: float) -> int:
-        """The newest frame that is not left out."""
+        """Index of the newest frame that is not dropped."""
         nature = self._nature
         index = math.floor((now - nature.born) * nature.rate)
         while self._dice("drop", index):
@@ -242,7 +242,7 @@ class Device:
         return tx_reply(reports, frame, status, bool(self._dice.faults.bare))
 
     def _happen(self, now: float) -> None:
-        """What befalls the device at its time: a coil unplugged or plugged in, a counter reset."""
+        """Apply faults that are due: a coil unplugged or plugged in, a reset of the counter."""
         since = self._since(now)
         while self._plugs and since >= self._plugs[0][0]:
             _, event = self._plugs.pop(0)
@@ -263,7 +263,7 @@ class Device:
 
 
 def _command(line: bytes) -> tuple[str, str]:
-    """Name and arguments of 'NAME:arguments' with a CRC, or 'NAME arguments' without."""
+    """Split 'NAME:arguments' with a CRC, or 'NAME arguments' without, into name and arguments."""
     if not line.isascii():
         raise CommandError(0x04 if b":" in line else 0x01)
     text = line.decode("ascii")

@@ -1,4 +1,4 @@
-"""Bytes an Aurora sends: text replies, TX and BX."""
+"""Encoding of an Aurora's replies: text, TX and BX."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from glissando.geometry.se3 import Array
 
 @dataclass(frozen=True)
 class PortReport:
-    """What one reply says of one handle.
+    """Content of a reply for one handle.
 
     Attributes:
         handle: The port's handle.
         status: The port's status bits.
         values: Quaternion [w, x, y, z], position in mm, quality (8,); None for a missing coil.
-        condition: '', or what is sent instead: 'DISABLED' or 'UNOCCUPIED'.
+        condition: 'DISABLED' or 'UNOCCUPIED', sent in place of values, or ''.
     """
 
     handle: int
@@ -29,7 +29,7 @@ class PortReport:
 
 
 def crc(data: bytes) -> int:
-    """CRC-16/ARC, bit by bit."""
+    """CRC-16/ARC, computed bit by bit."""
     value = 0
     for byte in data:
         value ^= byte
@@ -39,13 +39,13 @@ def crc(data: bytes) -> int:
 
 
 def text_reply(text: str) -> bytes:
-    """Text, CRC, carriage return."""
+    """Encode text, CRC and carriage return."""
     body = text.encode("ascii")
     return body + f"{crc(body):04X}\r".encode()
 
 
 def tx_reply(reports: Sequence[PortReport], frame: int, status: int, bare: bool) -> bytes:
-    """A TX reply; `bare` leaves status and frame out for coils that are not there."""
+    """Encode a TX reply; `bare` omits status and frame number of absent coils."""
     text = f"{len(reports):02X}"
     for port in reports:
         text += f"{port.handle:02X}{port.condition or _digits(port.values)}"
@@ -67,7 +67,7 @@ def _digits(values: Array | None) -> str:
 
 
 def bx_reply(reports: Sequence[PortReport], frame: int, status: int) -> bytes:
-    """A BX reply: header with its CRC, body with its own."""
+    """Encode a BX reply: header with its CRC, body with its own."""
     body = bytes([len(reports)])
     for port in reports:
         kind = 0x04 if port.condition else 0x02 if port.values is None else 0x01

@@ -1,4 +1,4 @@
-"""Dynamixel Protocol 2.0: packets with byte stuffing and CRC, found in a stream of bytes.
+"""Dynamixel Protocol 2.0: packets with byte stuffing and CRC, and their detection in a stream.
 
 Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0".
 """
@@ -11,12 +11,12 @@ from enum import IntEnum
 
 ALERT = 0x80  # bit of a status packet's error: a hardware error is pending
 _HEADER = b"\xff\xff\xfd\x00"
-_LONGEST = 1024  # bytes from the instruction on; longer is taken for noise
-_PAUSE = 0.1  # s between bytes after which a packet is given up [inferred]
+_LONGEST = 1024  # bytes from the instruction on; a longer packet is noise
+_PAUSE = 0.1  # s between bytes after which an incomplete packet is discarded [inferred]
 
 
 class Do(IntEnum):
-    """Instructions that the simulated servo obeys, and STATUS, its answer."""
+    """Instructions that the simulated servo supports, and STATUS, its answer."""
 
     PING = 0x01
     READ = 0x02
@@ -40,7 +40,7 @@ class Fault(IntEnum):
 
 @dataclass(frozen=True)
 class Packet:
-    """One packet as it came; `sound` is false when its CRC is wrong."""
+    """One packet as received; `sound` is false if its CRC is wrong."""
 
     id: int
     instruction: int
@@ -49,7 +49,7 @@ class Packet:
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16 with polynomial 0x8005, not reflected, from zero.
+    """CRC-16 with polynomial 0x8005, not reflected, with initial value zero.
 
     >>> hex(crc16(bytes.fromhex("ffff fd00 01 0300 01")))
     '0x4e19'
@@ -63,7 +63,7 @@ def crc16(data: bytes) -> int:
 
 
 def packed(identity: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """A whole packet: header, stuffed instruction and parameters, CRC.
+    """Encode a packet: header, stuffed instruction and parameters, CRC.
 
     >>> packed(1, Do.PING).hex(" ")
     'ff ff fd 00 01 03 00 01 19 4e'
@@ -74,14 +74,14 @@ def packed(identity: int, instruction: int, parameters: bytes = b"") -> bytes:
 
 
 class Parser:
-    """Finds packets in a stream of bytes, whatever else is in it."""
+    """Detects packets in a stream of bytes that may contain noise."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
         self._last = 0.0
 
     def feed(self, data: bytes, now: float) -> Iterator[Packet]:
-        """The packets that are complete with these bytes, which came at `now` s."""
+        """Yield packets that are complete with these bytes, received at `now` s."""
         if now - self._last > _PAUSE:
             self._bytes.clear()
         self._last = now
@@ -104,7 +104,7 @@ class Parser:
                 return None
             whole = bytes(stream[: 7 + length])
             sound = crc16(whole[:-2]) == int.from_bytes(whole[-2:], "little")
-            # A bad packet may be a bad length: look for the next header inside it.
+            # The length of a bad packet may be wrong: search for the next header inside it.
             del stream[: len(whole) if sound else 4]
             body = whole[7:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
             return Packet(whole[4], body[0], body[1:], sound)

@@ -1,4 +1,4 @@
-"""What simulated devices do wrong on request, the same for the same seed."""
+"""Faults of simulated devices on request, reproducible by their seed."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Any, TypeVar
 
 from glissando.errors import SimulationError
 
-_BURST = 5  # frames that a coil is missing at a time
+_BURST = 5  # successive frames in which a coil is missing
 F = TypeVar("F")
 
 
 def parse_faults(kind: type[F], text: str) -> F:
-    """Faults of 'name=number,…', where two numbers stand as 'name=number:number'.
+    """Parse faults of the form 'name=number,…'; a pair is 'name=number:number'.
 
     Args:
-        kind: Dataclass of the faults; its defaults say how many numbers each has.
-        text: The faults that are not as by default.
+        kind: Dataclass of the faults, whose defaults determine how many numbers each has.
+        text: Faults that differ from the defaults.
 
     Raises:
-        SimulationError: A name is unknown, or numbers are missing.
+        SimulationError: A name is unknown, or a number is missing.
 
     >>> parse_faults(AuroraFaults, "crc=0.01,slow_init=3").slow_init
     3.0
@@ -45,18 +45,18 @@ def parse_faults(kind: type[F], text: str) -> F:
 
 @dataclass(frozen=True)
 class AuroraFaults:
-    """Faults of a tracker by name; all off.
+    """Faults of a tracker by name; all off by default.
 
-    Chances of a reply while tracking: `crc` a bit flips, `truncate` its end is lost, `quiet` there
-    is none, `repeat` the one before comes again; `crc_setup` a bit flips in one before tracking.
-    Chances of a frame: `missing` a coil begins to be for five frames, `out` it is out of the
-    volume, `partly` partially, `drop` the frame is left out.
+    Probabilities for a reply while tracking: `crc` one bit is flipped, `truncate` its end is lost,
+    `quiet` it is lost, `repeat` the previous one is sent again; before tracking, `crc_setup` one
+    bit is flipped. Probabilities for a frame: `missing` a coil begins to be missing for five
+    frames, `out` it is outside the volume, `partly` partially, `drop` the frame is dropped.
 
-    Numbers of a coil, from 0, or −1 for none: `broken` wire, `srom` absent, `bad_srom` absent and
-    not to be replaced. Seconds since tracking began first: `reset` of the frame counter,
-    `unplug` and `replug` of coil 0, `cut` of the link until `mended`. `slow_init` s that INIT
-    takes; `counter` is the first frame number; `warning` 1 if PINIT warns; `bare` 1 if TX says no
-    more of a coil that is unplugged.
+    Indices of a coil, from 0, or −1 for none: `broken` wire, `srom` absent, `bad_srom` absent and
+    not replaceable. Seconds after tracking first began: `reset` of the frame counter, `unplug` and
+    `replug` of coil 0, `cut` of the link until `mended`. `slow_init` is the duration of INIT in s;
+    `counter` is the first frame number; `warning` is 1 if PINIT warns; `bare` is 1 if TX omits
+    status and frame number of an unplugged coil.
     """
 
     crc: float = 0.0
@@ -84,10 +84,10 @@ class AuroraFaults:
 
 @dataclass(frozen=True)
 class FaultDraws:
-    """Chances that depend on the seed, on what they are for, and on which time it is.
+    """Reproducible random draws, determined by the seed, the fault, and the frame or reply.
 
     Attributes:
-        faults: Dataclass whose attributes are chances, among others.
+        faults: Dataclass with probabilities among its attributes.
         seed: Seed of all draws.
     """
 
@@ -95,21 +95,21 @@ class FaultDraws:
     seed: int
 
     def __call__(self, fault: str, index: int, item: int = 0) -> bool:
-        """Whether the fault happens at this frame or reply (of this item)."""
+        """Whether the fault occurs at this frame or reply (for this item)."""
         chance = getattr(self.faults, fault)
         return chance > 0.0 and self.draw(fault, index, item) < chance
 
     def draw(self, what: str, index: int, item: int = 0) -> float:
-        """A number from 0 to 1."""
+        """Uniform random number in [0, 1)."""
         key = f"{self.seed}/{what}/{index}/{item}".encode()
         return int.from_bytes(blake2b(key, digest_size=8).digest(), "big") / 2.0**64
 
     def missing(self, frame: int, coil: int) -> bool:
-        """Whether a burst in which the coil is missing reaches this frame."""
+        """Whether the coil is missing in this frame, because a burst has begun recently."""
         return any(self("missing", frame - k, coil) for k in range(_BURST))
 
     def flip(self, data: bytes, fault: str, index: int) -> bytes:
-        """The bytes with one bit before the last byte flipped, if the fault happens."""
+        """Bytes with one bit before the last byte flipped, if the fault occurs."""
         if not data or not self(fault, index):
             return data
         bit = int(self.draw("bit", index) * 8 * (len(data) - 1))
@@ -118,5 +118,5 @@ class FaultDraws:
         return bytes(out)
 
     def cut(self, data: bytes, fault: str, index: int) -> bytes:
-        """The bytes without their end, if the fault happens."""
+        """Bytes without a random part of their end, if the fault occurs."""
         return data[: int(self.draw("end", index) * len(data))] if self(fault, index) else data

@@ -1,4 +1,4 @@
-"""A simulated GRBL 1.1 controller with one moving axis, in a process of its own.
+"""A simulated GRBL 1.1 controller with one moving axis, in a separate process.
 
 `python -m glissando.hardware.simulated_devices.grbl` prints the path to open as one line, then
 serves until SIGTERM or the end of its standard input. `--travel` sends the carriage's true travel
@@ -24,17 +24,17 @@ from glissando.hardware.simulated_devices.serving import (
 )
 
 _BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
-_PLANNER = 15  # motions that wait at most
+_PLANNER = 15  # largest number of queued motions
 _JOG = re.compile(r"\$J=(G53)?G90G21([XYZ])(-?\d+\.?\d*)F(\d+\.?\d*)")
 
 
 @dataclass(frozen=True)
 class GrblFaults:
-    """Faults of a controller by name; all off.
+    """Faults of a controller by name; all off by default.
 
-    Shares of replies: `corrupt` with a bit flipped, `lost`. Numbers of replies: from `dead` on it
-    neither hears nor answers; at `alarm` a limit switch is hit; at `restart` its supply fails for a
-    moment.
+    Probabilities for a reply: `corrupt` with one bit flipped, `lost`. Indices of replies: from
+    `dead` on the controller neither receives nor answers; at `alarm` a limit switch trips; at
+    `restart` its supply fails for a moment.
     """
 
     corrupt: float = 0.0
@@ -46,16 +46,16 @@ class GrblFaults:
 
 @dataclass
 class Grbl:
-    """The controller: bytes in, replies out, and an axis that follows jogs by trapezoids.
+    """The controller: replies to bytes, and an axis with trapezoidal speed profiles.
 
     Attributes:
-        limits: Machine positions (low, high) of the axis, mm, where it homes at the low end.
-        acceleration: Of the axis, mm/s².
-        fastest: Its largest speed, mm/s ($110 / 60).
+        limits: Machine positions (low, high) of the axis, mm; homing ends near the low end.
+        acceleration: Acceleration of the axis, mm/s².
+        fastest: Largest speed of the axis, mm/s ($110 / 60).
         place: Machine position, mm.
-        state: As status reports name it.
-        work: Machine position of the work coordinates' zero, mm; jogs without G53 count from it.
-        lost: What the axis stood at when the controller lost its position, mm.
+        state: State as in status reports.
+        work: Machine position of the work coordinates' origin, mm, for jogs without G53.
+        lost: True position at machine position zero after a loss of position, mm.
     """
 
     limits: tuple[float, float] = (-2.0, 62.0)
@@ -71,7 +71,7 @@ class Grbl:
     letters: bytearray = field(default_factory=bytearray, init=False)
 
     def advance(self, now: float) -> float:
-        """Move on to a time in s; returns the machine position in mm."""
+        """Simulate up to time `now` in s; returns the machine position in mm."""
         self.now = now if self.now is None else self.now
         while self.now < now:
             step = min(1e-3, now - self.now)
@@ -103,7 +103,7 @@ class Grbl:
                 self.place, self.speed, self.state = goal, 0.0, "Idle"
 
     def receive(self, data: bytes, now: float) -> list[bytes]:
-        """Replies to bytes of the host."""
+        """Process bytes from the host, and return the replies."""
         self.advance(now)
         out = []
         for byte in data:
@@ -116,7 +116,7 @@ class Grbl:
                 self.speed, self.state = 0.0, "Alarm" if moving else self.state
                 out.append(_BANNER)
             elif byte in (0x85, ord("!")):
-                self.jogs.clear()  # a feed hold ends a jog as its cancel does
+                self.jogs.clear()  # a feed hold ends a jog as a jog cancel does
             elif byte in b"\r\n":
                 if self.letters:
                     out.append(self._obey(self.letters.decode("ascii", "replace")))
@@ -126,7 +126,7 @@ class Grbl:
         return out
 
     def restart(self) -> bytes:
-        """Lose speed, jogs and position as when the supply fails for a moment."""
+        """Lose speed, jogs and position, as when the supply fails for a moment."""
         self.lost, self.place = self.lost + self.place, 0.0
         self.jogs.clear()
         self.letters.clear()

@@ -1,4 +1,4 @@
-"""How a servo's set point moves from rest: trapezoids, triangles and rectangles of speed."""
+"""Set point of a servo over time: trapezoidal, triangular or rectangular speed profiles."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Profile:
-    """A motion by pieces of constant acceleration, then rest.
+    """A motion of piecewise constant acceleration, followed by rest.
 
     Attributes:
-        start: Time, s.
-        position: Position at that time, in any unit of length.
-        pieces: Duration, speed at its beginning, and acceleration of each piece.
+        start: Start time, s.
+        position: Position at the start time, in any unit of length.
+        pieces: Duration, initial speed and acceleration of each piece.
     """
 
     start: float
@@ -22,7 +22,7 @@ class Profile:
 
     @property
     def duration(self) -> float:
-        """Seconds until rest."""
+        """Seconds from the start until rest."""
         return sum(piece[0] for piece in self.pieces)
 
     def at(self, time: float) -> tuple[float, float]:
@@ -42,14 +42,14 @@ class Profile:
 
 
 def to(start: float, position: float, goal: float, *, speed: float, acceleration: float) -> Profile:
-    """From rest to rest at a goal; a rectangle of speed without acceleration, 0.
+    """Profile from rest to rest at a goal.
 
     Args:
-        start: When it begins, s.
-        position: Where it begins.
-        goal: Where it ends.
+        start: Start time, s.
+        position: Initial position.
+        goal: Final position.
         speed: Largest speed.
-        acceleration: Size of the acceleration; 0 changes speed at once.
+        acceleration: Magnitude of the acceleration; 0 for steps in speed.
     """
     way = goal - position
     if not way:

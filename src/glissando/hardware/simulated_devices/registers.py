@@ -1,7 +1,7 @@
-"""The control table of an XL430-W250: where each register is, how large, and its allowed values.
+"""Control table of an XL430-W250: address, size and allowed values of each register.
 
-Source: ROBOTIS e-Manual, "XL430-W250". Registers without effect on the simulated motion are left
-out; they read as zero.
+Source: ROBOTIS e-Manual, "XL430-W250". Registers without effect on the simulated motion are
+omitted and read as zero.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _GOALS = ("goal_position", "goal_pwm")
 
 
 class Register(NamedTuple):
-    """One entry; `low` is None where it can only be read."""
+    """One register; `low` is None if it is read-only."""
 
     name: str
     address: int
@@ -57,14 +57,14 @@ _BY_ADDRESS = {register.address: register for register in _REGISTERS}
 
 
 class ControlTable:
-    """The registers' values, by name."""
+    """Values of the registers, by name."""
 
     def __init__(self) -> None:
         self._bytes = bytearray(_SIZE)
         self.reset(eeprom=True)
 
     def reset(self, *, eeprom: bool) -> None:
-        """Initial values; of the RAM alone unless `eeprom`."""
+        """Set initial values; of the RAM only, unless `eeprom`."""
         for register in _REGISTERS:
             if eeprom or register.address >= _EEPROM_END:
                 self[register.name] = register.initial
@@ -81,12 +81,12 @@ class ControlTable:
         self._bytes[register.address : register.address + register.size] = word
 
     def read(self, address: int, size: int) -> bytes | None:
-        """Bytes from an address on; None beyond the table. Gaps read as zero [inferred]."""
+        """Bytes from an address; None beyond the table. Gaps read as zero [inferred]."""
         end = address + size
         return bytes(self._bytes[address:end]) if size > 0 and end <= _SIZE else None
 
     def changes(self, address: int, data: bytes) -> tuple[Fault, dict[str, int]]:
-        """What writing would change, or the first fault in it; nothing is written yet."""
+        """Registers that a write would change, or its first fault; nothing is written."""
         changes: dict[str, int] = {}
         end = address + len(data)
         while address < end:
@@ -106,9 +106,9 @@ class ControlTable:
         return self._limit_fault(changes), changes
 
     def _limit_fault(self, changes: dict[str, int]) -> Fault:
-        """Values within their own range may still break limits that other registers set."""
+        """Fault of values that violate limits set in other registers."""
         if self["bus_watchdog"] == -1 and not changes.keys().isdisjoint(_GOALS):
-            return Fault.RANGE  # goals can only be read until the watchdog is cleared
+            return Fault.RANGE  # goals are read-only until the watchdog is cleared
         goal = changes.get("goal_position", self["min_position"])
         outside = not self["min_position"] <= goal <= self["max_position"]
         beyond = (

@@ -1,4 +1,4 @@
-"""What a simulated device senses: a robot in motion, and the coils in it, in one file."""
+"""Scene of simulated devices: a robot in motion and its coils, stored in one file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from glissando.simulation.imperfections import Imperfections
 from glissando.simulation.motion import Motion
 from glissando.simulation.rod import Tendon
 
-_NODES = 141  # along the robot of a scene of a motion
+_NODES = 141  # arclengths of a scene made from a motion
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,13 @@ class SceneCoil:
     """A coil of a simulated tracker.
 
     Attributes:
-        arclength: Where it is at travel zero, m.
-        direction: Its arclength grows by this times the slide's travel.
-        T_bc: Its pose in the cross-section (4, 4); its axis is its z.
-        port: The port it is plugged in at.
-        channel: 1 for the second coil on a port.
-        way: The channel beside the backbone that it slides in, as a recording states it, along
-            which its arclength is then measured; None for a coil on the backbone.
+        arclength: Arclength when the travel is zero, m.
+        direction: Change of its arclength per travel of the slide.
+        T_bc: Pose in the cross-section (4, 4); the axis of the coil is its z.
+        port: Index of the port that it is plugged in at.
+        channel: 1 for the second coil at a port, else 0.
+        way: Table of the channel beside the backbone in which it slides, along which its arclength
+            is then measured; None for a coil on the backbone.
     """
 
     arclength: float
@@ -48,16 +48,16 @@ class SceneCoil:
 
 @dataclass(frozen=True)
 class Scene:
-    """A robot in motion, geodesic between its nodes and at rest before and after.
+    """A robot in motion, interpolated geodesically between nodes, at rest before and after.
 
     Attributes:
         time: Times (K,), s.
         arclength: Arclengths (M,), m.
-        T_wb: Poses (K, M, 4, 4) of the cross-sections in the world.
-        T_wt: The tracker in the world (4, 4).
-        coils: Its coils.
-        flaws: The tracker's noise and bias; the other flaws have no effect.
-        seed: Seed of that noise.
+        T_wb: Poses (K, M, 4, 4) of the cross-sections in the world frame.
+        T_wt: Pose of the tracker in the world frame (4, 4).
+        coils: Coils of the tracker.
+        flaws: Noise and bias of the tracker; the other imperfections have no effect.
+        seed: Seed of the noise.
     """
 
     time: Array
@@ -89,7 +89,7 @@ class Scene:
         return _blend(low, high, along)
 
     def coil_poses(self, time: float, travel: float) -> Array:
-        """T_tc (C, 4, 4) of the coils at a travel in m, without error."""
+        """T_tc (C, 4, 4) of the coils at a time of the scene, s, and a travel, m, without error."""
         at = np.array([coil.arclength + coil.direction * travel for coil in self.coils])
         mounts = np.array([coil.T_bc for coil in self.coils])
         poses = np.empty((len(at), 4, 4))
@@ -99,7 +99,7 @@ class Scene:
         return se3.inverse(self.T_wt) @ poses @ mounts
 
     def _beside(self, way: dict[str, float], travel: float, time: float) -> Array:
-        """T_wc (4, 4) after a travel in m along a channel, by its path through the nodes."""
+        """T_wc (4, 4) at a length in m along a channel, interpolated between its nodes."""
         stated = Channel(way["radius"], way["angle"], way["pitch"] or np.inf)
         channel = Tendon.in_channel(stated, float(self.arclength[-1]))
         bodies, place = self.pose(self.arclength, time), channel.path(self.arclength)[0]
@@ -116,7 +116,7 @@ class Scene:
         return np.asarray(out @ se3.pose(se3.least_turn(axis[None])[0], position))
 
     def save(self, path: Path) -> None:
-        """Write the scene as NPZ: time, arclength, T_wb and, as JSON, everything else."""
+        """Write the scene as NPZ: time, arclength, T_wb, and the rest as JSON."""
         device = {
             "T_wt": self.T_wt.tolist(),
             "coils": [{**vars(coil), "T_bc": coil.T_bc.tolist()} for coil in self.coils],
@@ -132,10 +132,10 @@ class Scene:
 
     @staticmethod
     def load(path: Path) -> Scene:
-        """Read a scene; a file of time, arclength and T_wb alone has no coils.
+        """Read a scene; a file with only time, arclength and T_wb has no coils.
 
         Raises:
-            SimulationError: The file cannot be read, or is no scene.
+            SimulationError: The file cannot be read, or is not a scene.
         """
         try:
             with np.load(path, allow_pickle=False) as file:
@@ -167,15 +167,15 @@ class Scene:
         flaws: Imperfections | None = None,
         seed: int = 0,
     ) -> Scene:
-        """The scene of a simulated motion.
+        """Sample a simulated motion as a scene.
 
         Args:
             motion: The robot's motion.
-            time: Times (K,) at which its shape is taken, s.
-            coils: The tracker's coils.
-            T_wt: The tracker in the world (4, 4); identity by default.
-            flaws: The tracker's noise and bias; the usual ones by default.
-            seed: Seed of that noise.
+            time: Times (K,) at which shapes are sampled, s.
+            coils: Coils of the tracker.
+            T_wt: Pose of the tracker in the world frame (4, 4); identity if None.
+            flaws: Noise and bias of the tracker; the usual ones if None.
+            seed: Seed of the noise.
         """
         times = np.asarray(time, dtype=float)
         places = np.linspace(0.0, motion.rod.length, _NODES)
@@ -186,7 +186,7 @@ class Scene:
 
 
 def _between(nodes: Array, at: Array) -> tuple[np.ndarray, Array]:
-    """The node before, and the share of the way to the next, held at the ends."""
+    """Index of the node before, and fraction of the interval after it; clamped at both ends."""
     if nodes.size == 1:
         return np.zeros(at.shape, dtype=int), np.zeros(at.shape)
     at = np.clip(at, nodes[0], nodes[-1])

@@ -1,4 +1,4 @@
-"""Serves a device's bytes over TCP and a pseudo-terminal, in one thread."""
+"""Serves a simulated device over TCP and a pseudo-terminal, in one thread."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from glissando.hardware.simulated_devices.travel import MESSAGE
 _PERIOD = 0.005  # s between datagrams of an axis
 
 Receive = Callable[[bytearray, float], list[tuple[float, bytes]]]
-"""Takes whole messages out of a buffer at a time; returns what to send and when, in seconds."""
+"""Removes the complete messages from a buffer at a time; returns times (s) and replies."""
 
 
 class Serving:
-    """Serves until standard input closes or SIGTERM comes.
+    """Serves until standard input closes or on SIGTERM.
 
     Args:
-        hear: Answers for the device.
-        cut: Says whether, at a time, connections are closed and a pseudo-terminal stays silent.
-        beat: Does what the device does by itself at a time; returns when it is due again, s.
+        receive: Processes the buffer of received bytes.
+        cut: Whether, at a time, connections are closed and a pseudo-terminal stays silent.
+        beat: Called periodically with the time; returns the time of its next call, s.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Serving:
         self._resources = contextlib.ExitStack()
 
     def listen(self, port: int) -> str:
-        """Accept connections on 127.0.0.1:port, any free one for 0; returns the address."""
+        """Accept connections on 127.0.0.1:port (any free port for 0); returns the address."""
         server = self._resources.enter_context(socket.socket())
         server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -64,9 +64,9 @@ class Serving:
         return f"tcp://127.0.0.1:{server.getsockname()[1]}"
 
     def open_terminal(self, link: Path | None) -> str:
-        """Serve a pseudo-terminal, which `link` leads to if given; returns what to open."""
+        """Serve a pseudo-terminal, to which `link` points if given; returns the path to open."""
         ours, theirs = pty.openpty()
-        for end in (ours, theirs):  # theirs stays open, so that clients may come and go
+        for end in (ours, theirs):  # theirs stays open, so that clients may reconnect
             self._resources.callback(os.close, end)
             tty.setraw(end)
         os.set_blocking(ours, False)
@@ -115,9 +115,9 @@ class Serving:
             heapq.heappush(self._due, (when, next(self._order), send, reply))
 
     def run(self, *addresses: str) -> None:
-        """Print the addresses as one line and serve."""
+        """Print the addresses as one line, and serve."""
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-        with contextlib.suppress(PermissionError):  # a file, or /dev/null: nobody closes those
+        with contextlib.suppress(PermissionError):  # a file or /dev/null, which is never closed
             self._selector.register(sys.stdin, selectors.EVENT_READ, _end_with_input)
         print(*addresses, flush=True)
         beat = time.monotonic()
@@ -134,7 +134,7 @@ class Serving:
     def _send_due(self) -> None:
         while self._due and self._due[0][0] <= time.monotonic():
             *_, send, reply = heapq.heappop(self._due)
-            with contextlib.suppress(OSError):  # nobody listens any more
+            with contextlib.suppress(OSError):  # the client has disconnected
                 send(reply)
 
 
@@ -144,7 +144,7 @@ def _end_with_input() -> None:
 
 
 def device_parser(name: str, text: str | None, faults: type) -> argparse.ArgumentParser:
-    """The command line of a device, with its faults below the options."""
+    """Construct the command-line parser of a device, with its faults listed below the options."""
     parser = argparse.ArgumentParser(
         name, None, text, faults.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -154,7 +154,7 @@ def device_parser(name: str, text: str | None, faults: type) -> argparse.Argumen
 
 
 def add_axis_options(parser: argparse.ArgumentParser) -> None:
-    """Where an axis is opened, who hears of its travel, and the seed."""
+    """Add options of an axis: pseudo-terminal, receivers of its travel, and seed."""
     add = parser.add_argument
     add("--pty", type=Path, metavar="LINK", help="make this link to the pseudo-terminal")
     purpose = "send true travel there, 200 Hz; may be repeated"
@@ -163,7 +163,7 @@ def add_axis_options(parser: argparse.ArgumentParser) -> None:
 
 
 def address(text: str) -> tuple[str, int]:
-    """A host and a port of a command line."""
+    """Parse a host and port of a command line."""
     host, _, number = text.rpartition(":")
     if not host:
         raise argparse.ArgumentTypeError(f"{text!r} is no HOST:PORT")
@@ -171,17 +171,17 @@ def address(text: str) -> tuple[str, int]:
 
 
 def port(text: str) -> int:
-    """A port of a command line, 0 for any."""
+    """Parse a port of a command line, 0 for any."""
     return _integer(text, 0xFFFF, "is no port; give 0 to 65535")
 
 
 def seed(text: str) -> int:
-    """A seed of a command line."""
+    """Parse a seed of a command line."""
     return _integer(text, 2**63 - 1, "is no seed; give a whole number, 0 or more")
 
 
 def finite(text: str) -> float:
-    """A number of a command line that is neither NaN nor infinite."""
+    """Parse a finite number of a command line."""
     try:
         value = float(text)
     except ValueError:
@@ -192,7 +192,7 @@ def finite(text: str) -> float:
 
 
 def positive(text: str) -> float:
-    """A number of a command line from a millionth to a million."""
+    """Parse a number of a command line from a millionth to a million."""
     value = finite(text)
     if not 1e-6 <= value <= 1e6:
         raise argparse.ArgumentTypeError(f"{text!r} cannot be; give a number above zero")
@@ -218,13 +218,13 @@ def require_axis(start: float, ends: Sequence[float], unit: str) -> None:
 def serve_axis(
     receive: Receive, travel: Callable[[float], float], options: argparse.Namespace
 ) -> None:
-    """Serve an axis on a pseudo-terminal and send its true travel, m at a time, to listeners."""
+    """Serve an axis on a pseudo-terminal, and send its true travel, m, to `options.travel`."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
 
         def beat(now: float) -> float:
             datagram = MESSAGE.pack(now, travel(now))
             for listener in options.travel:
-                with contextlib.suppress(OSError):  # nobody listens yet, or any more
+                with contextlib.suppress(OSError):  # no receiver at present
                     sender.sendto(datagram, listener)
             return now + _PERIOD
 
@@ -237,7 +237,7 @@ def run_device(
     serve: Callable[[argparse.Namespace], None],
     arguments: Sequence[str] | None,
 ) -> int:
-    """Serve what a command line asks for; returns 2 after a mistake in it, else 0."""
+    """Serve with the options of a command line; returns 2 after an error, else 0."""
     try:
         serve(parser.parse_args(arguments))
     except (GlissandoError, OSError) as problem:

@@ -1,4 +1,4 @@
-"""A simulated XL430-W250 stage in a process of its own, on a pseudo-terminal.
+"""A simulated XL430-W250 stage in a separate process, on a pseudo-terminal.
 
 `python -m glissando.hardware.simulated_devices.servo` prints the path to open as one line, then
 serves until SIGTERM or the end of its standard input. `--travel` sends the carriage's true travel
@@ -31,12 +31,12 @@ from glissando.hardware.simulated_devices.xl430 import OVERLOAD, TICK_WRAP, Xl43
 
 @dataclass(frozen=True)
 class ServoFaults:
-    """Faults of a servo's line by name; all off.
+    """Faults of a servo's line by name; all off by default.
 
-    Shares of status packets: `corrupt` with a bit flipped, `short` cut off, `late` (share, seconds
-    of delay). Numbers of status packets: from `silent` (number, how many) on they are lost; from
-    `dead` on the servo neither hears nor answers; at `overload` it raises that hardware error, at
-    `restart` it loses power for a moment.
+    Probabilities for a status packet: `corrupt` with one bit flipped, `short` truncated, `late`
+    (probability, seconds of delay). Indices of status packets: from `silent` (index, number) on
+    they are lost; from `dead` on the servo neither receives nor answers; at `overload` it raises
+    that hardware error, at `restart` it loses power for a moment.
     """
 
     corrupt: float = 0.0
@@ -49,22 +49,22 @@ class ServoFaults:
 
 
 class Line:
-    """The line between a servo and its host, with faults; answers keep their order.
+    """Line between a servo and its host, with faults; answers keep their order.
 
     Args:
-        servo: The servo at its end.
-        faults: What goes wrong.
-        seed: Of the faults.
+        servo: The servo.
+        faults: Faults of the line; none if None.
+        seed: Seed of the faults.
     """
 
     def __init__(self, servo: Xl430, faults: ServoFaults | None = None, seed: int = 0) -> None:
         self.servo, self.sent = servo, 0
         self.faults = ServoFaults() if faults is None else faults
         self._dice = FaultDraws(self.faults, seed)
-        self._last = 0.0  # s when the answer before arrives
+        self._last = 0.0  # s, arrival time of the previous answer
 
     def receive(self, held: bytearray, now: float) -> list[tuple[float, bytes]]:
-        """Take bytes from the host; returns when (s) what of each answer arrives."""
+        """Process bytes from the host; returns arrival time (s) and bytes of each answer."""
         data, answers = bytes(held), []
         held.clear()
         if self.sent >= self.faults.dead:
@@ -78,7 +78,7 @@ class Line:
         return answers
 
     def corrupted(self, packet: bytes, now: float) -> tuple[float, bytes]:
-        """When the next status packet arrives, and what is left of it."""
+        """Arrival time of the next status packet, and its bytes after faults."""
         faults, dice, number = self.faults, self._dice, self.sent
         self.sent += 1
         packet = dice.cut(dice.flip(packet, "corrupt", number), "short", number)

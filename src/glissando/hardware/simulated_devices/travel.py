@@ -1,4 +1,4 @@
-"""The slide's travel as another simulated device sends it by UDP."""
+"""Travel of the slide, received by UDP from another simulated device."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from glissando.errors import SimulationError
 MESSAGE = struct.Struct("<dd")
 """A datagram: time.monotonic() in s, and travel in m."""
 _HISTORY = 400
-_AHEAD = 0.02  # s that a travel may be extrapolated at its speed, to bridge two datagrams
+_AHEAD = 0.02  # s for which the travel is extrapolated at constant speed between datagrams
 
 
 class Travel:
-    """The travel that comes to 127.0.0.1:`port`, at any recent time.
+    """Travel received at 127.0.0.1:`port`, at any recent time.
 
     Raises:
-        SimulationError: The port is taken.
+        SimulationError: The port is in use.
     """
 
     def __init__(self, port: int):
@@ -36,7 +36,7 @@ class Travel:
         self._points: deque[tuple[float, float]] = deque(maxlen=_HISTORY)
 
     def at(self, time: float) -> float:
-        """Travel in m at a time of time.monotonic(); 0 at first, then held after the last."""
+        """Travel in m at a time.monotonic(); 0 before the first datagram, held after the last."""
         self._receive()
         if not self._points:
             return 0.0

@@ -1,10 +1,10 @@
-"""A simulated Vicon Tracker: a scene's bodies as a UDP object stream.
+"""A simulated Vicon Tracker, which sends the bodies of a scene as a UDP object stream.
 
     python -m glissando.hardware.simulated_devices.vicon --scene FILE --to HOST:PORT \
         --bodies tip=0.7,mid=0.35
 
 Prints one line that begins with 'ready', then sends a frame at each multiple of 1/rate after the
-epoch, until SIGTERM or the end of its standard input; the scene stands still at its end.
+epoch, until SIGTERM or the end of its standard input; the scene is at rest after its end.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ NOISE_MM, NOISE_RAD = 0.15, 1.5e-3  # RMS over all directions
 
 @dataclass(frozen=True)
 class MocapFaults:
-    """Chances by name; all zero.
+    """Probabilities of faults by name; all zero by default.
 
-    Of a frame: `lost`, `late` (it comes after the next), `repeated`, `truncated`; of each of its
+    For a frame: `lost`, `late` (sent after the next one), `repeated`, `truncated`; for each of its
     bodies: `occluded`.
     """
 
@@ -69,16 +69,16 @@ def parse_bodies(text: str) -> dict[str, float]:
 
 
 class Sender:
-    """Datagrams of the bodies of a scene, as Tracker would send them, faults included.
+    """Datagrams of the bodies of a scene in Tracker's format, with faults.
 
     Args:
         scene: The robot in motion.
         bodies: Arclengths of the bodies by name, m.
-        faults: What goes wrong.
-        seed: Of noise and faults.
-        tube: Name of the body on the sliding tube, and its distance from the robot's base, behind
-            it, at travel zero, m.
-        travel: Where the slide's travel comes from, in s of the scene and m.
+        faults: Faults of the stream; none if None.
+        seed: Seed of noise and faults.
+        tube: Name of the body on the sliding tube, and its distance behind the robot's base when
+            the travel is zero, m; None for none.
+        travel: Travel of the slide, m, as a function of seconds after the scene's start.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class Sender:
         self._late: list[bytes] = []
 
     def datagrams(self, number: int, at: float) -> list[bytes]:
-        """Datagrams, none or more, of frame `number` at `at` s after the scene's start."""
+        """Datagrams, if any, sent for frame `number` at `at` s after the scene's start."""
         dice = self._dice
         poses, names = self._poses(at), [*self._bodies, *(self._tube or ())[:1]]
         noise = np.repeat([1e-3 * NOISE_MM, NOISE_RAD], 3) / np.sqrt(3.0)
@@ -129,7 +129,7 @@ class Sender:
 
 def _values(pose: Array) -> list[float]:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # at gimbal lock any split will do
+        warnings.simplefilter("ignore", UserWarning)  # any angles are valid at gimbal lock
         angles = Rotation.from_matrix(pose[:3, :3]).as_euler("XYZ")
     return [*(1e3 * pose[:3, 3]), *angles]
 
@@ -152,7 +152,7 @@ def _parser() -> argparse.ArgumentParser:
 def _serve(options: argparse.Namespace) -> None:
     faults, bodies = parse_faults(MocapFaults, options.faults), parse_bodies(options.bodies)
     scene = Scene.load(options.scene)
-    Sender(scene, bodies).datagrams(0, 0.0)  # compiles what it needs before it is due
+    Sender(scene, bodies).datagrams(0, 0.0)  # compiles kernels before the first frame is due
     epoch = time.monotonic() if options.epoch is None else options.epoch
     tube = next(iter(parse_bodies(options.tube).items())) if options.tube else None
     come = Travel(options.travel) if options.travel is not None else None
@@ -175,7 +175,7 @@ def _serve(options: argparse.Namespace) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the sender; returns its exit status."""
+    """Run the sender; returns the exit status."""
     return run_device(_parser(), _serve, arguments)
 
 

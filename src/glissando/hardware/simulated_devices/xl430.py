@@ -1,6 +1,6 @@
 """An XL430-W250 that drives a lead screw: instructions, motion, watchdog, hardware errors.
 
-It follows its set point exactly, in the two position modes only, and a new goal is approached as
+It follows its set point exactly, in the two position modes only, and approaches a new goal as if
 from rest. Facts not found in the e-Manual are marked [inferred].
 """
 
@@ -18,10 +18,10 @@ ACCELERATION_UNIT = 214.577 / 3600.0 * TICKS  # ticks/s² a unit of 214.577 rev/
 TICK_WRAP = 32768  # ms
 OVERLOAD = 0x20
 _BOOT = 0.1  # s without an answer after a reboot [inferred]
-_PATIENCE = 0.5  # s of a stall at more than half the PWM until overload [inferred]
-_TOUCH = 2.0  # ticks beyond a hard end that are no push yet
-_MOVING = 10  # speed units above which it reports that it moves
-_FRICTION = 120  # load in 0.1 % while moving freely [inferred]
+_PATIENCE = 0.5  # s of a stall at more than half the PWM before an overload [inferred]
+_TOUCH = 2.0  # ticks beyond a hard stop without load
+_MOVING = 10  # speed in units above which it reports that it moves
+_FRICTION = 120  # load in 0.1 % during free motion [inferred]
 _MODES = ("torque_enable", "operating_mode", "homing_offset")
 
 _Reply = tuple[int, bytes]  # a status packet's error and parameters
@@ -31,10 +31,10 @@ class Xl430:
     """A servo with its motor on a `screw`.
 
     Args:
-        screw: What it turns.
-        now: When it is switched on, s.
-        clock: Rate of its own clock against ours.
-        tick: Where that clock begins, ms.
+        screw: Screw that it turns.
+        now: Time at which it is switched on, s.
+        clock: Rate of its own clock relative to the host's.
+        tick: Initial value of that clock, ms.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Xl430:
         self._silent_until = now
 
     def _switch_on(self, now: float, tick: int = 0) -> None:
-        """Registers of the RAM begin anew; the number of turns is lost."""
+        """Reset the registers of the RAM; the count of turns is lost."""
         angle, _ = self._actual(now)
         self._profile = Profile(now, angle)
         self._born, self._tick, self._heard = now, tick, now
@@ -66,7 +66,7 @@ class Xl430:
         self.table["goal_position"] = self._present(now)
 
     def _actual(self, now: float) -> tuple[float, float]:
-        """Angle in ticks and speed in ticks/s of the screw, which hard ends may hold."""
+        """Angle in ticks and speed in ticks/s of the screw, limited by the hard stops."""
         angle, speed = self._profile.at(now)
         low, high = self.screw.reach
         return (angle, speed) if low <= angle <= high else (min(max(angle, low), high), 0.0)
@@ -75,12 +75,12 @@ class Xl430:
         return math.floor(self._actual(now)[0]) - self._turns + self.table["homing_offset"]
 
     def _stand(self, now: float) -> None:
-        """End any motion; the goal is where it is."""
+        """End any motion; the goal becomes the present position."""
         self._profile = Profile(now, self._actual(now)[0])
         self.table["goal_position"] = self._present(now)
 
     def advance(self, now: float) -> float:
-        """Let time pass until `now` s; returns the carriage's travel in metres."""
+        """Simulate up to `now` s; returns the travel of the carriage in m."""
         limit = 0.02 * self.table["bus_watchdog"]
         if self.table["torque_enable"] and 0.0 < limit < now - self._heard:
             self.table["bus_watchdog"] = -1
@@ -110,11 +110,11 @@ class Xl430:
         self._switch_on(now)
 
     def receive(self, data: bytes, now: float) -> list[bytes]:
-        """Status packets that answer bytes from the bus.
+        """Process bytes from the bus, and return the status packets that answer them.
 
         Args:
-            data: Bytes, whole packets or not.
-            now: When they came, s.
+            data: Bytes of complete or incomplete packets.
+            now: Time of their arrival, s.
         """
         answers = []
         for packet in self._parser.feed(data, now):
@@ -153,11 +153,11 @@ class Xl430:
         return (Fault.ACCESS, b"") if data is None else (Fault.NONE, data)
 
     def _refresh(self, now: float) -> None:
-        """Bring the registers that can only be read up to date."""
+        """Update the read-only registers."""
         table, (angle, speed) = self.table, self._actual(now)
         intended, _ = self._profile.at(now)
         units = round(speed / SPEED_UNIT)
-        if abs(intended - angle) > _TOUCH:  # pressed against a hard end with all the PWM there is
+        if abs(intended - angle) > _TOUCH:  # pressed against a hard stop with the full goal PWM
             effort = math.copysign(1000 * table["goal_pwm"] // 885, intended - angle)
         else:
             effort = math.copysign(_FRICTION, speed) if speed else 0.0
@@ -184,7 +184,7 @@ class Xl430:
         return Fault.NONE
 
     def _set_out(self, now: float) -> None:
-        """Begin the motion to the goal by the profile's registers."""
+        """Begin the motion to the goal, with the profile of the registers."""
         table = self.table
         goal = table["goal_position"] + 0.5 + self._turns - table["homing_offset"]
         cruise = SPEED_UNIT * table["profile_velocity"]
