@@ -144,7 +144,7 @@ def require_ending(path: Path) -> None:
 
 
 def save_figure(drawn: Any, path: str | Path) -> Path:
-    """Write a figure in the format of its file's suffix, completely or not at all; the path.
+    """Write a figure in the format of its suffix, completely or not at all; returns the path.
 
     The same figure gives the same bytes, because no date is written.
 

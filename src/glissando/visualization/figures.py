@@ -192,7 +192,7 @@ def _draw_errors(row: Sequence[Any], posterior: Posterior, site: Readings) -> No
 def save_figures(
     posterior: Posterior, readings: Sequence[Readings], truth: Sequence[Readings], folder: Path
 ) -> list[Path]:
-    """Write shape.png, confidence.png and, if there is truth of a position, error.png; their paths.
+    """Write shape.png, confidence.png and, if there is truth, error.png; returns their paths.
 
     The folder is created if it is missing. Raises GlissandoError without matplotlib.
     """

@@ -93,7 +93,7 @@ def shape_figure(
 
 
 def draw_ellipsoids(axes: Any, centre: Array, cov: Array, colour: Any) -> list[Array]:
-    """Draw the 95 % ellipsoids of positions (M, 3) in metres; their bounding corners in mm."""
+    """Draw the 95 % ellipsoids of positions (M, 3) in m; returns bounding corners in mm."""
     around, down = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 15))
     ball = np.stack([np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)])
     stretch = SIGMAS_95 * MM * half_axes(cov)
@@ -106,7 +106,7 @@ def draw_ellipsoids(axes: Any, centre: Array, cov: Array, colour: Any) -> list[A
 
 
 def _draw_forces(axes: Any, forces: Arrows, colours: Array) -> list[Array]:
-    """Draw arrows and the ellipsoids of their tips, one colour a time; bounding corners in mm."""
+    """Draw arrows and their tips' ellipsoids, one colour a time; returns bounding corners in mm."""
     corners = []
     for k, (strokes, colour) in enumerate(zip(forces.strokes(), colours, strict=True)):
         axes.plot(*MM * strokes.reshape(-1, 3).T, color=colour, linewidth=1.6, zorder=4)
@@ -115,7 +115,7 @@ def _draw_forces(axes: Any, forces: Arrows, colours: Array) -> list[Array]:
 
 
 def draw_truth(axes: Any, site: Readings, time: float, reach: float) -> Array:
-    """Draw a site's nearest sample if it is within 0.1 s; the points drawn (…, 3) in mm."""
+    """Draw a site's nearest sample if it is within 0.1 s; returns the points (…, 3) in mm."""
     row = int(np.argmin(np.abs(site.time - time)))
     if abs(site.time[row] - time) > NEAR:
         return np.empty((0, 3))

@@ -113,7 +113,7 @@ def _recorded(
 def _steps(
     rig: Rig, path: SlidePath, further: Mapping[str, SlidePath], log: MessageLog, stack: ExitStack
 ) -> list[Callable[[], None]]:
-    """Open each device except the first stage on `stack`; functions that log its next message."""
+    """Open all devices but the first stage on `stack`; returns functions that log one message."""
     steps: list[Callable[[], None]] = []
     if rig.tracker is not None:
         tracker = stack.enter_context(opened_tracker(rig, rig.tracker))

@@ -13,11 +13,11 @@ from multiprocessing import resource_tracker
 
 @contextmanager
 def blocked_signals() -> Iterator[None]:
-    """Start processes inside this context that ignore Ctrl-C and hang-ups; the parent ends them."""
+    """Block Ctrl-C and hang-ups in processes started inside, which the parent has to end."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    resource_tracker.ensure_running()  # its start, which comes with the first process, unblocks
+    resource_tracker.ensure_running()  # its start with the first process would unblock signals
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield

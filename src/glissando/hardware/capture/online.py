@@ -116,7 +116,7 @@ def _estimate(rig: Rig, open_view: Any, show: Any, messages: Any, address: Any) 
                 smoother.add(reading)
                 now = float(reading.time[0])
                 if now >= due and messages.empty():  # else catch up first
-                    with suppress(UnreachableError):  # the guard says so, the robot is at rest
+                    with suppress(UnreachableError):  # the estimate is then at rest
                         smoother.advance(now)
                     due = now + step
                     show(view, smoother)

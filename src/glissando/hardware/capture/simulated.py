@@ -91,7 +91,7 @@ def simulated_rig(
 
 
 def _hearing(stack: ExitStack, name: str, *options: str) -> tuple[str, int]:
-    """Start a device that receives the slide's travel; its address, and the UDP port of the travel.
+    """Start a device that receives the slide's travel; returns its address, and that UDP port.
 
     Another program may take the port before the device opens it; then another port is tried.
     """

@@ -29,7 +29,7 @@ _PAUSE = 5e-4  # s between requests
 _REPLY, _REST = 0.2, 0.05  # s until a reply begins, and for its remainder
 _SILENCE = 2.0  # s without a complete reply after which the link counts as lost
 _BETWEEN = 0.3  # s between attempts to reconnect
-_REFUSALS = 4  # successive refusals that are needed, as a request may arrive damaged
+_REFUSALS = 4  # successive refusals before one counts, as a request may arrive damaged
 _TELLS_STATE = (0x0C, 0x10)  # errors of a device that is not tracking, or was reset
 _GARBLED = (0x02, 0x03, 0x04, 0x05)  # errors of a command that arrived damaged
 _ABSENT = ("unoccupied", "disabled")
@@ -226,7 +226,7 @@ class Aurora:
             self.counts["bad_crc"] += 1
             return
         self._refusals += 1
-        if self._refusals < _REFUSALS:  # the request may have come damaged
+        if self._refusals < _REFUSALS:  # the request may have arrived damaged
             self.counts["bad_crc"] += 1
         elif self._binary:
             self._binary, self._refusals = False, 0

@@ -70,7 +70,7 @@ def frame_command(text: str) -> bytes:
 
 
 def parse_ascii(raw: bytes) -> str:
-    r"""Check an ASCII reply; its text without CRC and carriage return.
+    r"""Check an ASCII reply, and return its text without CRC and carriage return.
 
     Raises:
         GarbledError: The CRC does not match.

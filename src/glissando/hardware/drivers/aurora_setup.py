@@ -37,7 +37,7 @@ class Tool:
 
 
 def ask(link: Link, command: str, timeout: float = _REPLY, tries: int = _TRIES) -> str:
-    """Send a command, again if the reply is damaged or missing; the text of the reply.
+    """Send a command, again if its reply is damaged or missing, and return the reply.
 
     Args:
         link: Link to the device.

@@ -6,7 +6,7 @@ import numpy as np
 
 from glissando.geometry.se3 import Array
 
-_BLOCKS = 32  # least delayed readings, one a block of successive readings, that the line fits
+_BLOCKS = 32  # blocks of successive readings; the line fits the least delayed one of each
 _LARGEST = 64  # largest number of readings in a block
 _DRIFT = 1e-4  # standard deviation of a counter's rate about the nominal, relative
 _JITTER = 2e-3  # s, prior of the delay; weighted as two readings
@@ -60,7 +60,7 @@ class ClockFit:
         self.cov: Array = np.diag([_JITTER, _DRIFT * self._nominal]) ** 2
 
     def add(self, number: int, host: float) -> int:
-        """Add one arrival; its unwrapped number.
+        """Add one arrival, and return its unwrapped number.
 
         A repeated number is ignored. A smaller number, an arrival well before its predicted time,
         or many successive late arrivals restart the fit, as after a reset of the device.

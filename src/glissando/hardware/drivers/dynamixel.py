@@ -255,7 +255,7 @@ class Servo:
             return False
 
     def halt(self) -> bool:
-        """Hold the position, or switch the torque off if that fails; whether it holds."""
+        """Hold the position, or if that fails switch the torque off; returns whether it holds."""
         try:
             self.aim(self.state(check_error=False).position, speed=0, check_error=False)
             held = True

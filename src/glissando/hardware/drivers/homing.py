@@ -50,7 +50,7 @@ def touch(servo: Servo, stage: Stage, speed: float, pwm: float) -> int:
 
 
 def _press(servo: Servo, stage: Stage, way: float, speed: float, pwm: float) -> int:
-    """Move until the carriage is at rest although it is driven; its position in ticks."""
+    """Move until the carriage is at rest although driven; returns its position in ticks."""
     start = servo.state().position
     goal = start + round(stage.ticks(way))
     servo.aim(goal, speed=stage.speed_units(speed))

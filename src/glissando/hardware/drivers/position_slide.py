@@ -74,7 +74,7 @@ class PositionSlide:
         raise NotImplementedError
 
     def _home_place(self) -> float:
-        """Home the device; its own position, m, at which the travel is `home`."""
+        """Home the device, and return its own position, m, at which the travel is `home`."""
         raise NotImplementedError
 
     def _aim(self, place: float, speed: float) -> None:
@@ -217,7 +217,7 @@ class PositionSlide:
             yield from self._until_rest(last, 0.5)
 
     def _go(self, travel: float, speed: float, since: float) -> float:
-        """Send a goal unless it is within `least` of the last one; the goal in effect, m."""
+        """Send a goal unless it is within `least` of the last; returns the goal in effect, m."""
         if abs(travel - since) < self.least:
             return since
         self._aim(self._require_home() + self.stage.direction * travel, speed)

@@ -101,7 +101,7 @@ class PositionStage:
             )
 
     def path(self, time: ArrayLike, travel: ArrayLike) -> tuple[Array, Array]:
-        """Check a path; its times, shifted to begin at zero, and travels as arrays.
+        """Check a path, and return its times, shifted to begin at zero, and its travels.
 
         Args:
             time: Times (K,), s.

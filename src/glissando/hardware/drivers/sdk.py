@@ -18,7 +18,7 @@ def lost_port() -> tuple[type[Exception], ...]:
 
 
 def opened(address: str, baud: int) -> tuple[Any, Any]:
-    """Open the SDK's port; port and packet handler. Raises DeviceError."""
+    """Open the SDK's port; returns port and packet handler. Raises DeviceError."""
     with needing("The slide needs dynamixel-sdk", "hardware", DeviceError):
         from dynamixel_sdk import PacketHandler, PortHandler
     port = PortHandler(address)

@@ -195,7 +195,7 @@ def _sigma(sigma: Array) -> tuple[Attribute, ...]:
 
 
 def _status(update: Update) -> c.Status:
-    """Status code 1 for normal operation, 10 for a poor fit, 13 for missing readings or peers."""
+    """Status code 1 for normal operation, 10 for a poor fit, 13 with the update's problems."""
     if update.problems:
         return c.Status(13, "; ".join(update.problems), "SILENT")
     if not update.smoother.fits:
@@ -245,4 +245,4 @@ def _unit_sphere() -> tuple[Array, Index]:
 
 
 _SPHERE, _SPHERE_FACES = _unit_sphere()
-_SIGMAS = 3.164962  # to the points of the hull that holds 95 % of a Gaussian; its faces lie nearer
+_SIGMAS = 3.164962  # to the vertices of a polyhedron that contains 95 % of a Gaussian

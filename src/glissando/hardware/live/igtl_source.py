@@ -52,7 +52,7 @@ class IgtlSource(EndpointUser):
 
     first: float | None = None
     clock = None
-    finished = False  # a peer may come back
+    finished = False  # a peer may reconnect
 
     def __init__(self, address: str, robot: Robot, placements: Sequence[Placement] = ()) -> None:
         require_on_robot(placements, robot)

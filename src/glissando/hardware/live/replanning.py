@@ -45,7 +45,7 @@ class Replanning:
         horizon: Duration of each plan, s.
 
     Attributes:
-        replanner: The current plan and the arclength of the coil over time.
+        replanner: The plans adopted so far, and the path of the coil over time.
 
     Raises:
         DeviceError: The rig has no stage, no coil slides, or a zone lies off the robot.

@@ -117,7 +117,7 @@ class RigSource:
         self._steering.put((time - self._times.of_monotonic(0.0), travel))
 
     def _drain(self, within: float) -> None:
-        """Empty the queue up to its end mark; the process cannot end while the queue is full."""
+        """Empty the queue up to its end mark; the process cannot end before."""
         end = time.monotonic() + within
         while not self.finished and time.monotonic() < end:
             alive = self._process.is_alive()
@@ -186,7 +186,7 @@ def _capture(
     signal.signal(signal.SIGTERM, signal.default_int_handler)
 
     def stop() -> None:
-        messages.cancel_join_thread()  # nobody reads them any more
+        messages.cancel_join_thread()  # the reader has ended
         os.kill(os.getpid(), signal.SIGTERM)
 
     end_with_parent(stop)
@@ -206,7 +206,7 @@ def _capture(
         end = DeviceError(f"The process that reads the rig has failed ({problem!r}).")
         raise
     finally:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # all stands; this is still to be said
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the stages are at rest; report the end
         if end is not None:
             messages.put(end)
         messages.put(None)

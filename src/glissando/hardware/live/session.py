@@ -215,7 +215,7 @@ class LiveSession:
         problems += self._off.values()
         try:
             newest = self.smoother.advance(due)
-        except UnreachableError as problem:  # readings in another unit: the robot is at rest
+        except UnreachableError as problem:  # readings in another unit: the estimate is at rest
             newest = self.smoother.newest()
             problems.append(str(problem))
         computing, shape = time.perf_counter() - began, self.smoother.at(self.arclength, due)

@@ -22,7 +22,7 @@ class Loads:
     Attributes:
         arclength: Arclengths (M,) of the loads, m.
         position: Positions (M, 3) of these points in the world frame, m.
-        wrench: Force and moment at these points, in world axes.
+        wrench: Forces and moments at these points, in world axes.
     """
 
     arclength: Array
@@ -51,7 +51,7 @@ class Update:
         readings: Readings that arrived since the last update.
         smoother: The estimator, for further queries such as `smoother.dropped`.
         ready: Session time at which the estimate was complete, s.
-        latency: Seconds from the instant at which the update was due until it was complete.
+        latency: Seconds from when the update was due, its time plus `delay`, to `ready`.
         computing: Seconds of this latency spent on the estimate.
         skipped: Updates skipped so far because the machine was too slow.
         problems: Reasons why sources or sinks are silent or their time stamps are off, if any.
