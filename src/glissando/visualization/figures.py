@@ -70,8 +70,8 @@ def confidence_figure(
         GlissandoError: matplotlib is not installed.
     """
     grid = posterior.grid
-    time, time_drawn = _drawn(grid.time, 120)
-    arclength, arclength_drawn = _drawn(grid.arclength, 40)
+    time, time_drawn = _sample_points(grid.time, 120)
+    arclength, arclength_drawn = _sample_points(grid.arclength, 40)
     std = posterior.at(arclength[:, None], time).std_position * MM
     top = float(np.quantile(std, 0.99))
     over: Any = "max" if std.max() > 1.02 * top else "neither"
@@ -93,7 +93,7 @@ def confidence_figure(
     return axes
 
 
-def _drawn(nodes: Array, steps: int) -> tuple[Array, Array]:
+def _sample_points(nodes: Array, steps: int) -> tuple[Array, Array]:
     """Points to query, and their coordinates in the figure; a single node is drawn 1 wide."""
     if nodes.size == 1:
         return nodes[[0, 0]], nodes[0] + np.array([-0.5, 0.5])

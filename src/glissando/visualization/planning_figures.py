@@ -24,7 +24,7 @@ from glissando.visualization.canvas import (
 )
 
 _PLACES, _TIMES = 60, 81  # points of a map along the body and in time
-_SWING = 10.0  # s of a slide's motion that are drawn as its reach
+_SLIDE_MOTION = 10.0  # s of a slide's motion that are drawn as its reach
 _FRONT = {"std": "best set found", "bound": "no set goes below"}
 _LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
@@ -212,7 +212,7 @@ def placement_figure(placements: Sequence[Placement], length: float) -> Any:
         front.legend(loc="upper right")
         for each in placements:
             for sensor in each.chosen:
-                place = MM * sensor.places(np.linspace(0.0, _SWING, _TIMES)).ravel()
+                place = MM * sensor.places(np.linspace(0.0, _SLIDE_MOTION, _TIMES)).ravel()
                 kind = kinds.index(sensor.name.split()[0])
                 drawn = {"color": _LINES[kind % len(_LINES)], "label": kinds[kind]}
                 body.plot(place, np.full(place.size, each.cost), "s", ms=4, **drawn)

@@ -95,7 +95,7 @@ def _draw_space(axes: Any, plan: MotionPlan, moments: Array, zoom: float = 1.06)
     chosen = np.unique(moments.round().astype(int))
     for share, k in zip(np.linspace(0.0, 0.85, chosen.size), chosen, strict=True):
         colour = colormaps["viridis"](share)
-        tube = MM * _reached(plan, k)
+        tube = MM * _reachable_surface(plan, k)
         axes.add_collection3d(Poly3DCollection(tube, facecolor=colour, alpha=0.15, linewidth=0.0))
         time = plan.problem.space.moments[k]
         axes.plot(*(MM * at.shapes.place[k].T), color=colour, lw=2.2, label=f"{time:.1f} s")
@@ -121,7 +121,7 @@ def _draw_zones(axes: Any, plan: MotionPlan, k: int) -> None:
         axes.plot(*(MM * part.T), color=_ZONE, lw=4.0, zorder=3.0)
 
 
-def _reached(plan: MotionPlan, k: int) -> Array:
+def _reachable_surface(plan: MotionPlan, k: int) -> Array:
     """Triangles (F, 3, 3) of the 95 % surface of the body, radius included, at moment k, m."""
     at = plan.evaluation
     rings, of = confidence_tube(at.shapes.pose[k], _body_cov(at, k), SIGMAS_95)

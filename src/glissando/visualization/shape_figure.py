@@ -88,7 +88,7 @@ def shape_figure(
         base = np.stack([line[0] for line in lines]).T
         axes.scatter(*base, **TRUTH_DOT, s=90, marker="s", zorder=5, label="base")
         frame_axes(axes, np.concatenate(corners))
-        _explain(axes, ax is None, sites, forces.words if forces else "")
+        _draw_legend(axes, ax is None, sites, forces.words if forces else "")
     return axes
 
 
@@ -129,7 +129,7 @@ def draw_truth(axes: Any, site: Readings, time: float, reach: float) -> Array:
     return tips
 
 
-def _explain(axes: Any, own: bool, sites: Sequence[Readings], forces: str) -> None:
+def _draw_legend(axes: Any, own: bool, sites: Sequence[Readings], forces: str) -> None:
     """Draw the legend: times, base, ellipsoids, forces and truth."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch

@@ -83,7 +83,7 @@ def capture(
     with SessionWriter(folder / LOG, metadata) as writer:
         log = MessageLog(writer, progress, on_message)
         moving = closing(_experiment(rig, path, steered, log))
-        with _recorded(rig, path, further or {}, log) as failures, moving as steps:
+        with _recording_threads(rig, path, further or {}, log) as failures, moving as steps:
             for _ in steps:
                 if failures:
                     break
@@ -93,7 +93,7 @@ def capture(
 
 
 @contextmanager
-def _recorded(
+def _recording_threads(
     rig: Rig, path: SlidePath, further: Mapping[str, SlidePath], log: MessageLog
 ) -> Iterator[list[BaseException]]:
     """Record all devices but the first stage in threads; raise their first failure at the end."""
@@ -122,8 +122,8 @@ def _steps(
     if rig.mocap is not None:
         mocap = stack.enter_context(ViconStream(rig.mocap, host=rig.mocap_host, timeout=_PATIENCE))
         steps.append(lambda: log_mocap_frame(mocap, rig, log))
-    for one in rig.further:
-        driven = _Driven(one, further.get(one.name, path), log)
+    for stage in rig.further:
+        driven = _Driven(stage, further.get(stage.name, path), log)
         stack.callback(driven.close)
         steps.append(driven)
     return steps

@@ -115,7 +115,7 @@ def log_tracker_frame(
             )
         stamp = {"time": frame.time, "frame": frame.number}
         quality = {"error": port.quality, "status": port.status or 0}
-        pose, text = _shown(port.pose if port.good else None)
+        pose, text = _pose_entries(port.pose if port.good else None)
         log.write(f"/tracker/{name}", _TRACKER, stamp | quality | pose, frame.arrival, text)
     counts = {f"tracker {k}": str(n) for k, n in tracker.counts.items() if n}
     log.progress.problems.update(counts)
@@ -137,12 +137,12 @@ def log_mocap_frame(mocap: ViconStream, rig: Rig, log: MessageLog) -> None:
     log.progress.problems.pop("mocap", None)
     log.progress.problems.update({f"mocap {k}": str(n) for k, n in mocap.counts.items() if n})
     for body in rig.bodies:
-        pose, text = _shown(frame.poses.get(body.name))
+        pose, text = _pose_entries(frame.poses.get(body.name))
         message = {"time": frame.received, "frame": frame.number, **pose}
         log.write(f"/mocap/{body.name}", _MOCAP, message, frame.received, text)
 
 
-def _shown(pose: Array | None) -> tuple[dict[str, Any], str]:
+def _pose_entries(pose: Array | None) -> tuple[dict[str, Any], str]:
     """A pose as the entries of a message, and its position as text."""
     if pose is None:
         return {"position": None, "quaternion": None}, "not seen"

@@ -77,7 +77,7 @@ def live_estimate(
                     "The live view did not start; try pip install 'glissando[view]'."
                 )
             time.sleep(0.05)
-        yield str(address.get()), _passed_on(process, messages)
+        yield str(address.get()), _forwarder(process, messages)
     finally:
         messages.put(None)
         process.join(_END)
@@ -86,7 +86,7 @@ def live_estimate(
         messages.cancel_join_thread()
 
 
-def _passed_on(process: BaseProcess, messages: Any) -> OnMessage:
+def _forwarder(process: BaseProcess, messages: Any) -> OnMessage:
     """Callback that passes messages on, and prints one warning when the process has ended."""
     ended = threading.Event()
 
@@ -95,8 +95,8 @@ def _passed_on(process: BaseProcess, messages: Any) -> OnMessage:
             messages.put((topic, message))
         elif not ended.is_set():
             ended.set()
-            said = "glissando: the live view has ended; the recording goes on without it."
-            print(said, file=sys.stderr)
+            warning = "glissando: the live view has ended; the recording goes on without it."
+            print(warning, file=sys.stderr)
 
     return on_message
 

@@ -211,15 +211,15 @@ def load_rig(path: str | Path) -> Rig:
         devices |= {"mocap_host": mocap.text("host", Rig.mocap_host)}
         devices |= {"bodies": tuple(_body(entry, length) for entry in mocap.tables("bodies"))}
         mocap.close()
-    _require_apart(path.name, "slides", [one.name for one in further])
-    _require_apart(path.name, "bodies", [body.name for body in devices.get("bodies", ())])
+    _require_unique(path.name, "slides", [one.name for one in further])
+    _require_unique(path.name, "bodies", [body.name for body in devices.get("bodies", ())])
     stages = {"": devices.get("stage"), **{one.name: one.stage for one in further}}
     for coil in devices.get("coils", ()):
-        _require_moved(path.name, coil, stages, length)
+        _require_valid_stage(path.name, coil, stages, length)
     return Rig(name, robot, **devices)
 
 
-def _require_moved(
+def _require_valid_stage(
     where: str, coil: Coil, stages: Mapping[str, PositionStage | None], length: float
 ) -> None:
     """Raise DeviceError for a coil of an unknown stage, or one that a stage moves off the robot."""
@@ -235,10 +235,10 @@ def _require_moved(
         )
 
 
-def _require_apart(where: str, what: str, names: list[str]) -> None:
+def _require_unique(where: str, what: str, names: list[str]) -> None:
     """Raise DeviceError for a repeated name, as messages of both would be mixed."""
-    if again := [name for name, count in Counter(names).items() if count > 1]:
-        raise DeviceError(f"{where}: two {what} are {again[0]!r}; give each its own.")
+    if repeated := [name for name, count in Counter(names).items() if count > 1]:
+        raise DeviceError(f"{where}: two {what} are {repeated[0]!r}; give each its own.")
 
 
 def _further(table: Table) -> FurtherStage:
@@ -264,9 +264,9 @@ def _coils(table: Table, length: float) -> tuple[Coil, ...]:
     table.close()
     if not coils:
         raise DeviceError(f"{table.where}: no coil is named; add [[tracker.coils]].")
-    _require_apart(table.where, "coils", [coil.name for coil in coils])
+    _require_unique(table.where, "coils", [coil.name for coil in coils])
     serials = [coil.serial for coil in coils if coil.serial]
-    _require_apart(table.where, "serial numbers of coils", serials)
+    _require_unique(table.where, "serial numbers of coils", serials)
     return tuple(coils)
 
 

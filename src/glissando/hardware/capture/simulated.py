@@ -76,10 +76,10 @@ def simulated_rig(
         scene.save(file)
         begin = ("--epoch", repr(time.monotonic()), "--scene", str(file))
         served = "--tcp", "0", "--faults", faults
-        tracker, travel = _hearing(stack, "aurora", *begin, *served)
+        tracker, travel = _start_with_travel(stack, "aurora", *begin, *served)
         options = ("--to", f"127.0.0.1:{mocap}", "--bodies", markers, "--seed", str(seed))
         behind = ("--tube", f"{tube.name}={_BEHIND}")
-        _, tube_travel = _hearing(stack, "vicon", *begin, *options, *behind)
+        _, tube_travel = _start_with_travel(stack, "vicon", *begin, *options, *behind)
         to = (("--travel", f"127.0.0.1:{port}") for port in (travel, tube_travel))
         stops = "--ends", repr(-_BEYOND), repr(limits.stroke + _BEYOND), "--lead", repr(_LEAD)
         servo = stack.enter_context(started("servo", *stops, *chain(*to)))
@@ -90,17 +90,17 @@ def simulated_rig(
         )  # fmt: skip
 
 
-def _hearing(stack: ExitStack, name: str, *options: str) -> tuple[str, int]:
+def _start_with_travel(stack: ExitStack, name: str, *options: str) -> tuple[str, int]:
     """Start a device that receives the slide's travel; returns its address, and that UDP port.
 
     Another program may take the port before the device opens it; then another port is tried.
     """
-    for left in reversed(range(_TRIES)):
+    for attempts_left in reversed(range(_TRIES)):
         port = _free_port()
         try:
             return stack.enter_context(started(name, *options, "--travel", str(port))), port
         except SimulationError as problem:
-            if not left or "listened on" not in str(problem):
+            if not attempts_left or "listened on" not in str(problem):
                 raise
     raise AssertionError("unreachable")
 

@@ -28,10 +28,10 @@ _EARLY = 2e-3  # s, least time before a frame is due at which requests begin
 _PAUSE = 5e-4  # s between requests
 _REPLY, _REST = 0.2, 0.05  # s until a reply begins, and for its remainder
 _SILENCE = 2.0  # s without a complete reply after which the link counts as lost
-_BETWEEN = 0.3  # s between attempts to reconnect
+_RETRY_INTERVAL = 0.3  # s between attempts to reconnect
 _REFUSALS = 4  # successive refusals before one counts, as a request may arrive damaged
-_TELLS_STATE = (0x0C, 0x10)  # errors of a device that is not tracking, or was reset
-_GARBLED = (0x02, 0x03, 0x04, 0x05)  # errors of a command that arrived damaged
+_STATE_ERRORS = (0x0C, 0x10)  # errors of a device that is not tracking, or was reset
+_COMMAND_ERRORS = (0x02, 0x03, 0x04, 0x05)  # errors of a command that arrived damaged
 _ABSENT = ("unoccupied", "disabled")
 
 
@@ -80,10 +80,10 @@ class Aurora:
         self._baud, self._srom, self._period = baud, srom, 1.0 / rate
         self._latency, self._reconnect, self._patience = latency, reconnect, patience
         self._link: Link | None = None
-        self._binary, self._last, self._heard = True, -1, 0.0
+        self._binary, self._last, self._last_reply = True, -1, 0.0
         self._status, self._absent = 0, frozenset[int]()
-        self._early, self._in_vain = self._period, False
-        self._stale: int | None = None
+        self._early, self._last_was_duplicate = self._period, False
+        self._first_number: int | None = None
         self._refusals = 0  # of requests, one after the other
 
     def __enter__(self) -> Aurora:
@@ -154,15 +154,15 @@ class Aurora:
         except BaseException:
             self.close()
             raise
-        self._heard, self._status, self._absent = time.monotonic(), 0, frozenset()
-        self._stale = None
+        self._last_reply, self._status, self._absent = time.monotonic(), 0, frozenset()
+        self._first_number = None
 
     def _connect_again(self, loss: ConnectionLostError) -> None:
         deadline = time.monotonic() + self._reconnect
         why: DeviceError = loss
         self.close()
         while time.monotonic() < deadline:
-            time.sleep(_BETWEEN)
+            time.sleep(_RETRY_INTERVAL)
             try:
                 self._connect()
             except DeviceError as problem:
@@ -197,13 +197,13 @@ class Aurora:
                 self.counts["bad_crc"] += 1
             else:
                 self.counts["silent"] += 1
-            if time.monotonic() - self._heard > _SILENCE:
+            if time.monotonic() - self._last_reply > _SILENCE:
                 raise ConnectionLostError(f"The Aurora has fallen silent: {problem}") from None
             return None
         except RefusedError as refusal:
             self._refused(refusal)
             return None
-        self._heard, self._refusals = time.monotonic(), 0
+        self._last_reply, self._refusals = time.monotonic(), 0
         return reply
 
     def _request(self) -> Reply:
@@ -220,9 +220,9 @@ class Aurora:
         return parse_tx(raw)
 
     def _refused(self, refusal: RefusedError) -> None:
-        if refusal.code in _TELLS_STATE:
+        if refusal.code in _STATE_ERRORS:
             raise ConnectionLostError(f"The Aurora has stopped tracking. {refusal}")
-        if refusal.code in _GARBLED:
+        if refusal.code in _COMMAND_ERRORS:
             self.counts["bad_crc"] += 1
             return
         self._refusals += 1
@@ -243,12 +243,12 @@ class Aurora:
         absent = frozenset(p.handle for p in reply.ports if p.condition in _ABSENT)
         changed = reply.hot_plugged and reply.status & ~self._status
         if changed or absent - self._absent:
-            self._set_up_again()
+            self._update_tools()
         self._status, self._absent = reply.status, absent
         numbers = [p.number for p in reply.ports if p.number is not None and p.handle not in absent]
-        if self._stale is None and numbers:
-            self._stale = numbers[0]  # ready before the first request: since when is unknown
-        if not numbers or (self._last < 0 and numbers[0] == self._stale):
+        if self._first_number is None and numbers:
+            self._first_number = numbers[0]  # ready before the first request, at an unknown time
+        if not numbers or (self._last < 0 and numbers[0] == self._first_number):
             return None
         restarts, last = self.clock.restarts, self._last
         count = self.clock.add(numbers[0], arrival)
@@ -256,10 +256,10 @@ class Aurora:
         self.counts["clock_restarts"] += jumped
         if count == last and not jumped:
             self.counts["duplicates"] += 1
-            self._in_vain = True
+            self._last_was_duplicate = True
             return None
-        early = 0.9 * self._early if self._in_vain else 2.0 * self._early
-        self._early, self._in_vain = min(max(early, _EARLY), self._period), False
+        early = 0.9 * self._early if self._last_was_duplicate else 2.0 * self._early
+        self._early, self._last_was_duplicate = min(max(early, _EARLY), self._period), False
         if last >= 0 and not jumped:
             self.counts["dropped"] += count - last - 1
         self._last = count
@@ -274,7 +274,7 @@ class Aurora:
         moment, std = self.clock.time(count), self.clock.std_time(count)
         return Frame(count, moment, std, arrival, ports)
 
-    def _set_up_again(self) -> None:
+    def _update_tools(self) -> None:
         """Free the handles of absent coils and set up new ones; the others lose a few frames."""
         link = self._open_link()
         self.counts["hot_plugs"] += 1

@@ -50,12 +50,12 @@ def ask(link: Link, command: str, timeout: float = _REPLY, tries: int = _TRIES) 
         DeviceTimeoutError: The last reply did not arrive.
         RefusedError: The device refused.
     """
-    for left in reversed(range(tries)):
+    for attempts_left in reversed(range(tries)):
         link.write(frame_command(command))
         try:
             return parse_ascii(link.read_until(b"\r", timeout))
         except (GarbledError, DeviceTimeoutError):
-            if not left:
+            if not attempts_left:
                 raise
     raise AssertionError("at least one try")
 

@@ -7,7 +7,7 @@ import numpy as np
 from glissando.geometry.se3 import Array
 
 _BLOCKS = 32  # blocks of successive readings; the line fits the least delayed one of each
-_LARGEST = 64  # largest number of readings in a block
+_LARGEST_BLOCK = 64  # largest number of readings in a block
 _DRIFT = 1e-4  # standard deviation of a counter's rate about the nominal, relative
 _JITTER = 2e-3  # s, prior of the delay; weighted as two readings
 _STEP = 0.1  # s off the line, above which it is not a delay but a jump of the counter
@@ -54,8 +54,8 @@ class ClockFit:
         self._first = self._host = 0.0
         self._count: list[float] = []  # of the least delayed reading of each block, from the first
         self._delay: list[float] = []  # its arrival relative to the nominal rate
-        self._open: tuple[float, float] | None = None
-        self._inside, self._size, self._late = 0, 1, 0
+        self._block_least: tuple[float, float] | None = None
+        self._block_count, self._block_size, self._late = 0, 1, 0
         self.origin, self.offset, self.period = 0.0, 0.0, self._nominal
         self.cov: Array = np.diag([_JITTER, _DRIFT * self._nominal]) ** 2
 
@@ -80,7 +80,7 @@ class ClockFit:
             self.origin, self.offset = float(count), host
         self._last = count
         steps = count - self._first
-        self._take(steps, host - self._host - self._nominal * steps)
+        self._add_to_block(steps, host - self._host - self._nominal * steps)
         return count
 
     def time(self, count: float) -> float:
@@ -107,29 +107,29 @@ class ClockFit:
         self._late = self._late + 1 if late > _STEP else 0
         return late < -_STEP or self._late >= _PATIENCE
 
-    def _take(self, steps: float, delay: float) -> None:
-        if self._open is None or delay < self._open[1]:
-            self._open = (steps, delay)
-        self._inside += 1
-        if self._inside < self._size:
+    def _add_to_block(self, steps: float, delay: float) -> None:
+        if self._block_least is None or delay < self._block_least[1]:
+            self._block_least = (steps, delay)
+        self._block_count += 1
+        if self._block_count < self._block_size:
             return
-        self._count.append(self._open[0])
-        self._delay.append(self._open[1])
-        self._open, self._inside = None, 0
+        self._count.append(self._block_least[0])
+        self._delay.append(self._block_least[1])
+        self._block_least, self._block_count = None, 0
         if len(self._count) == _BLOCKS:
-            self._fold()
+            self._merge_blocks()
         self._fit()
 
-    def _fold(self) -> None:
+    def _merge_blocks(self) -> None:
         """Halve the number of blocks by merging pairs, or drop the oldest block of largest size."""
-        if self._size == _LARGEST:
+        if self._block_size == _LARGEST_BLOCK:
             self._count, self._delay = self._count[1:], self._delay[1:]
             return
         later = np.argmin(np.reshape(self._delay, (-1, 2)), axis=1)
         least = 2 * np.arange(_BLOCKS // 2) + later
         self._count = [self._count[k] for k in least]
         self._delay = [self._delay[k] for k in least]
-        self._size *= 2
+        self._block_size *= 2
 
     def _fit(self) -> None:
         """Fit the robust line: Geman-McClure weights, and a prior of the rate about the nominal."""
@@ -137,17 +137,17 @@ class ClockFit:
         middle = float(count.mean())
         x = self._nominal * (count - middle)
         rows = np.stack([np.ones_like(x), x], axis=-1)
-        held = self.offset - self._host + self.period * (middle + self._first - self.origin)
-        held -= self._nominal * middle
-        line = np.array([held, self.period / self._nominal - 1.0])
+        present = self.offset - self._host + self.period * (middle + self._first - self.origin)
+        present -= self._nominal * middle
+        line = np.array([present, self.period / self._nominal - 1.0])
         if count.size < 5:
             line = np.array([float(np.median(delay)), 0.0])
         for _ in range(6):
-            off = delay - rows @ line
-            centred = off - np.median(off)
+            residual = delay - rows @ line
+            centred = residual - np.median(residual)
             scale = max(1.4826 * float(np.median(np.abs(centred))), 1e-6)
             weight = 1.0 / (1.0 + (centred / (_REACH * scale)) ** 2) ** 2
-            variance = (2.0 * (_JITTER / self._size) ** 2 + np.sum(weight * off**2)) / (
+            variance = (2.0 * (_JITTER / self._block_size) ** 2 + np.sum(weight * residual**2)) / (
                 2.0 + np.sum(weight)
             )
             normal = (rows.T * weight) @ rows / variance + np.diag([0.0, _DRIFT**-2])
@@ -157,8 +157,8 @@ class ClockFit:
         # the amount by which the line is lowered is about half that amount.
         cov = 1.5 * np.linalg.inv(normal)
         cov[0, 0] += (0.5 * std) ** 2
-        turn = np.diag([1.0, self._nominal])
+        scaling = np.diag([1.0, self._nominal])
         self.origin = middle + self._first
         self.offset = self._host + self._nominal * middle + float(line[0]) - std
         self.period = self._nominal * (1.0 + float(line[1]))
-        self.cov = turn @ cov @ turn
+        self.cov = scaling @ cov @ scaling

@@ -20,7 +20,7 @@ PWM_LIMIT, GOAL_PWM, PROFILE, TICK = 36, 100, 108, 120
 
 XL430 = 1060  # model number
 _EXTENDED_POSITION = 4  # operating mode
-_MODEST = 150  # ticks by which the position may change when torque is switched on
+_TORQUE_TOLERANCE = 150  # ticks by which the position may change when torque is switched on
 _ATTEMPTS = 4
 _QUIET = 0.03  # s without a byte after which no late answer is expected
 _NO_REPLY, _CORRUPT, _RESEND = -3001, -3002, 3
@@ -144,7 +144,7 @@ class Servo:
             short = result == 0 and not error & ~_ALERT and len(data) != size
             return data, _CORRUPT if short else result, error
 
-        return self._asked(f"read {size} bytes at {address}", ask, check_error=check_error)
+        return self._request(f"read {size} bytes at {address}", ask, check_error=check_error)
 
     def write(self, address: int, *values: tuple[int, int], check_error: bool = True) -> None:
         """Write registers.
@@ -161,11 +161,11 @@ class Servo:
             return [], *send(self._port, self.identity, address, len(data), list(data))
 
         shown = ", ".join(str(number) for number, _ in values)
-        self._asked(f"write {shown} at {address}", ask, check_error=check_error)
+        self._request(f"write {shown} at {address}", ask, check_error=check_error)
 
     def reboot(self) -> None:
         """Restart the servo, which clears hardware errors and loses the count of turns."""
-        self._asked(
+        self._request(
             "reboot",
             lambda: ([], *self._handler.reboot(self._port, self.identity)),
             check_error=False,
@@ -179,7 +179,7 @@ class Servo:
             model, result, error = self._handler.ping(self._port, self.identity)
             return [model & 0xFF, model >> 8], result, error
 
-        model = self._asked("ping it", ping).signed(0, 2)
+        model = self._request("ping it", ping).signed(0, 2)
         if model != XL430:
             raise DeviceError(
                 f"The servo {self.identity} at {self.address} is of model {model}; the slide knows "
@@ -241,7 +241,7 @@ class Servo:
         self.aim(before, speed=0)
         self.write(TORQUE, (1, 1))
         moved = self.state().position - before
-        if abs(moved) > _MODEST:
+        if abs(moved) > _TORQUE_TOLERANCE:
             raise DeviceError(
                 f"The servo at {self.address} moved or miscounted by {moved} ticks when its torque "
                 f"came on; look at the carriage and home again."
@@ -258,15 +258,15 @@ class Servo:
         """Hold the position, or if that fails switch the torque off; returns whether it holds."""
         try:
             self.aim(self.state(check_error=False).position, speed=0, check_error=False)
-            held = True
+            holds = True
         except NoAnswerError:
-            held = False
+            holds = False
         except DeviceError:
-            held = self.watchdog_stopped()  # then it refuses goals, and is already at rest
-        if not held:
+            holds = self.watchdog_stopped()  # then it refuses goals, and is already at rest
+        if not holds:
             self.write(TORQUE, (0, 1), check_error=False)
         self.write(WATCHDOG, (0, 1), check_error=False)  # only once it is at rest
-        return held
+        return holds
 
     def _unwrapped_tick(self, tick: int, answer: Answer) -> int | None:
         """Unwrapped tick; None if it was not taken between request and answer."""
@@ -279,7 +279,7 @@ class Servo:
         least, most = answer.sent - before.answered, answer.answered - before.sent
         return now if least - slack <= 1e-3 * (now - last) <= most + slack else None
 
-    def _asked(
+    def _request(
         self, what: str, ask: Callable[[], tuple[list[int], int, int]], *, check_error: bool = True
     ) -> Answer:
         """Repeat a request until an intact answer arrives, a few times at most."""

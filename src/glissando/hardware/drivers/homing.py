@@ -40,19 +40,19 @@ def touch(servo: Servo, stage: Stage, speed: float, pwm: float) -> int:
     back = first - round(stage.ticks(side * _BACK))
     _retreat(servo, stage, back, speed, pwm)
     second = _press(servo, stage, side * 2.0 * _BACK, speed, pwm)
-    apart = abs(stage.travel(second - first))
-    if apart > _AGREE:
+    gap = abs(stage.travel(second - first))
+    if gap > _AGREE:
         raise DeviceError(
-            f"Two touches of the stop differ by {1e3 * apart:.2g} mm; tighten the stage, or try "
+            f"Two touches of the stop differ by {1e3 * gap:.2g} mm; tighten the stage, or try "
             f"another pwm or speed."
         )
     return second
 
 
-def _press(servo: Servo, stage: Stage, way: float, speed: float, pwm: float) -> int:
+def _press(servo: Servo, stage: Stage, distance: float, speed: float, pwm: float) -> int:
     """Move until the carriage is at rest although driven; returns its position in ticks."""
     start = servo.state().position
-    goal = start + round(stage.ticks(way))
+    goal = start + round(stage.ticks(distance))
     servo.aim(goal, speed=stage.speed_units(speed))
     trail: deque[tuple[float, int]] = deque()
     while True:
@@ -61,8 +61,8 @@ def _press(servo: Servo, stage: Stage, way: float, speed: float, pwm: float) -> 
         trail.append((now, place))
         while len(trail) > 1 and now - trail[1][0] >= _STALL:
             trail.popleft()
-        went = abs(stage.travel(place - trail[0][1]))
-        if now - trail[0][0] >= _STALL and went < _CRAWL * speed * _STALL:
+        moved = abs(stage.travel(place - trail[0][1]))
+        if now - trail[0][0] >= _STALL and moved < _CRAWL * speed * _STALL:
             break
         sleep(_PACE)
     load = abs(1e-3 * state.load)

@@ -50,15 +50,15 @@ class Link:
     """
 
     def __init__(self, address: str, baud: int = 9600):
-        self.address, self.arrived, self._fresh = address, -float("inf"), True
-        self._held = b""
+        self.address, self.arrived, self._awaits_reply = address, -float("inf"), True
+        self._buffer = b""
         network = address.lower().startswith("tcp://")
         self._wire: _Wire = _Tcp(address) if network else _Serial(address, baud)
 
     def write(self, data: bytes) -> None:
         """Send bytes, after discarding those that were received but not read."""
-        self._held, dropped = b"", 0
-        with self._watched():
+        self._buffer, dropped = b"", 0
+        with self._converted_errors():
             while came := self._wire.receive(0.0):
                 dropped += len(came)
                 if dropped > _FLOOD:
@@ -67,52 +67,52 @@ class Link:
                         f"of the device."
                     )
             self._wire.send(data)
-        self._fresh = True
+        self._awaits_reply = True
 
     def read(self, count: int, timeout: float) -> bytes:
         """Exactly `count` bytes. Raises DeviceTimeoutError if they do not arrive in `timeout` s."""
         deadline = time.monotonic() + timeout
-        while len(self._held) < count:
+        while len(self._buffer) < count:
             self._wait(deadline, timeout)
-        out, self._held = self._held[:count], self._held[count:]
+        out, self._buffer = self._buffer[:count], self._buffer[count:]
         return out
 
     def read_until(self, end: bytes, timeout: float, most: int = 8192) -> bytes:
         """Bytes up to and including `end`, or `most` bytes. Raises DeviceTimeoutError."""
         deadline = time.monotonic() + timeout
-        while end not in self._held and len(self._held) < most:
+        while end not in self._buffer and len(self._buffer) < most:
             self._wait(deadline, timeout)
-        at = self._held.find(end)
+        at = self._buffer.find(end)
         stop = most if at < 0 else at + len(end)
-        out, self._held = self._held[:stop], self._held[stop:]
+        out, self._buffer = self._buffer[:stop], self._buffer[stop:]
         return out
 
     def _wait(self, deadline: float, timeout: float) -> None:
         left = deadline - time.monotonic()
-        with self._watched():
-            came = self._wire.receive(max(left, 0.0))
-        if came and self._fresh:
-            self.arrived, self._fresh = time.monotonic(), False
-        if not came and left <= 0.0:
+        with self._converted_errors():
+            data = self._wire.receive(max(left, 0.0))
+        if data and self._awaits_reply:
+            self.arrived, self._awaits_reply = time.monotonic(), False
+        if not data and left <= 0.0:
             raise DeviceTimeoutError(
-                f"{self.address} did not answer within {timeout:.3g} s ({len(self._held)} bytes "
+                f"{self.address} did not answer within {timeout:.3g} s ({len(self._buffer)} bytes "
                 f"came); check that it is switched on and that nothing else uses it."
             )
-        self._held += came
+        self._buffer += data
 
     def send_break(self) -> bool:
         """Send a BREAK on a serial line, which resets some devices; False if there is none."""
         if not isinstance(self._wire, _Serial) or self._wire.pseudo:
             return False
-        self._held = b""
-        with self._watched():
+        self._buffer = b""
+        with self._converted_errors():
             self._wire.port.send_break(_BREAK)
         return True
 
     def set_baud(self, baud: int) -> None:
         """Change the baud rate of a serial line; no effect on a network link."""
         if isinstance(self._wire, _Serial):
-            with self._watched():
+            with self._converted_errors():
                 self._wire.port.baudrate = baud
 
     @property
@@ -132,7 +132,7 @@ class Link:
         self.close()
 
     @contextlib.contextmanager
-    def _watched(self) -> Iterator[None]:
+    def _converted_errors(self) -> Iterator[None]:
         try:
             yield
         except lost_port() as problem:
@@ -162,10 +162,10 @@ class _Tcp:
     def receive(self, timeout: float) -> bytes:
         if not select.select([self.socket], [], [], timeout)[0]:
             return b""
-        came = self.socket.recv(4096)
-        if not came:
+        data = self.socket.recv(4096)
+        if not data:
             raise ConnectionResetError("closed at the other end")
-        return came
+        return data
 
     def send(self, data: bytes) -> None:
         self.socket.sendall(data)

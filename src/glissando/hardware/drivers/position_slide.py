@@ -175,7 +175,7 @@ class PositionSlide:
         self.stage.require_inside(travel)
         start = self.read()
         lasts = abs(travel - start.travel) / speed + speed / self.stage.acceleration
-        with _standing_still(self):
+        with _stop_on_error(self):
             self._go(travel, speed, start.travel)
             return [start, *self._until_rest(travel, lasts)]
 
@@ -198,7 +198,7 @@ class PositionSlide:
             lasts: Duration, s.
         """
         ahead = self.ahead / self.rate
-        with _standing_still(self):
+        with _stop_on_error(self):
             aim = self.read().travel
             begun = beat = until = monotonic()  # until: when the goals that wait are reached
             while (now := monotonic()) - begun < lasts:
@@ -254,7 +254,7 @@ class PositionSlide:
         return self._zero
 
 
-class _standing_still:  # noqa: N801
+class _stop_on_error:  # noqa: N801
     """Context that stops the stage after any exception inside."""
 
     def __init__(self, slide: PositionSlide) -> None:

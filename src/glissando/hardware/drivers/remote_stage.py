@@ -22,7 +22,7 @@ _PATIENCE = 2.0  # s allowed for a motion to stop
 _STILL = 2e-3  # m/s, speed below which the stage is at rest
 _FAR = 20.0  # m, beyond any laboratory stage
 _LOOK = 0.002  # s between polls
-_AGAIN = 0.1  # s at rest after which the goal is sent again
+_RESEND_INTERVAL = 0.1  # s at rest after which the goal is sent again
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class RemoteSlide(PositionSlide):
     def __enter__(self) -> Self:
         self._peer.__enter__()
         try:
-            self._join(_FIRST)
+            self._wait_until_connected(_FIRST)
         except BaseException:
             self._peer.__exit__()
             raise
@@ -141,7 +141,7 @@ class RemoteSlide(PositionSlide):
         """
         return min(last.time, self._since)
 
-    def _join(self, patience: float) -> None:
+    def _wait_until_connected(self, patience: float) -> None:
         """Wait until positions arrive and goals can be sent.
 
         In a ROS 2 graph the driver's positions may arrive before the driver has discovered the
@@ -186,7 +186,7 @@ class RemoteSlide(PositionSlide):
     def _until_rest(self, goal: float, lasts: float) -> Iterator[SlideReading]:
         sent = monotonic()
         for reading in super()._until_rest(goal, lasts):
-            if self._goal and self._stands(reading) and monotonic() - sent > _AGAIN:
+            if self._goal and self._stands(reading) and monotonic() - sent > _RESEND_INTERVAL:
                 sent = monotonic()
                 self._peer.send(*self._goal)
             yield reading

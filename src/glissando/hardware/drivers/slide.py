@@ -203,7 +203,7 @@ class Slide:
             reading = self.read()
             begun = beat = monotonic()
             while (now := monotonic()) - begun < lasts:
-                self._chase(wanted(now - begun + _AHEAD / rate), reading, now, _AHEAD / rate)
+                self._aim_ahead(wanted(now - begun + _AHEAD / rate), reading, now, _AHEAD / rate)
                 reading = self.read()
                 self._require_near(reading, wanted(reading.time - begun))
                 yield reading
@@ -213,12 +213,12 @@ class Slide:
             self._aim(last, self.stage.speed_units(self.stage.speed), 0)
             yield from self._until_rest(last, 0.0)
 
-    def _chase(self, aim: float, last: SlideReading, now: float, ahead: float) -> None:
+    def _aim_ahead(self, aim: float, last: SlideReading, now: float, ahead: float) -> None:
         """Send a goal slightly ahead on the path, at the speed that reaches it in time."""
         self.stage.require_inside(aim)
-        here = last.travel + last.speed * (now - last.time)
+        position = last.travel + last.speed * (now - last.time)
         # Up to a tenth faster than the limit of a path, to catch up with it.
-        speed = min(abs(aim - here) / ahead, 1.1 * self.stage.speed)
+        speed = min(abs(aim - position) / ahead, 1.1 * self.stage.speed)
         self._aim(aim, self.stage.speed_units(speed), 0)
 
     def abort(self) -> None:
@@ -309,11 +309,11 @@ class Slide:
         try:
             yield
         except BaseException as problem:
-            self._break_off(problem)
+            self._stop_after_error(problem)
             raise
         servo.write(dynamixel.WATCHDOG, (0, 1))
 
-    def _break_off(self, problem: BaseException) -> None:
+    def _stop_after_error(self, problem: BaseException) -> None:
         """Stop after an exception; raise a more informative error if the watchdog stopped first."""
         servo = self._servo
         if isinstance(problem, NoAnswerError):  # it may still receive: write only

@@ -35,9 +35,9 @@ from glissando.io.csv_stream import Rows
 from glissando.model.grid import Index
 from glissando.model.sensors.readings import Readings
 
-_AROUND = 12  # points of a ring of the tube
+_RING_POINTS = 12  # points of a ring of the tube
 _LONG = 1 << 16  # bytes of a message
-_PATIENCE, _POINTS = 1.0, 0.1  # s between statuses, and between points
+_STATUS_PERIOD, _POINTS_PERIOD = 1.0, 0.1  # s between statuses, and between points
 
 
 class IgtlSink(EndpointUser):
@@ -58,7 +58,7 @@ class IgtlSink(EndpointUser):
         super().__init__(address, hears=False)
         self.name = address.partition("?")[0]
         self._send = self._endpoint.address.send
-        self._stated = self._pointed = -np.inf
+        self._last_status = self._last_points = -np.inf
         self._measured: dict[str, Array] = {}
 
     def __enter__(self) -> Self:
@@ -105,7 +105,7 @@ class IgtlSink(EndpointUser):
             yield "Centreline", PolyData(poses[:, :3, 3], lines=line, attributes=_sigma(sigma))
         cov = update.state.position_covariance()
         if "tube" in send:
-            rings, of = confidence_tube(update.state.pose, cov, around=_AROUND)
+            rings, of = confidence_tube(update.state.pose, cov, around=_RING_POINTS)
             yield "Tube95", self._mesh(rings, tube_faces(*rings.shape[:2]), sigma[of])
         if "ellipsoids" in send:
             shells = _SIGMAS * _SPHERE @ np.linalg.cholesky(_definite(cov)).swapaxes(-1, -2)
@@ -114,11 +114,11 @@ class IgtlSink(EndpointUser):
             first = len(_SPHERE) * np.arange(len(shells))
             faces = (_SPHERE_FACES + first[:, None, None]).reshape(-1, 3)
             yield "Ellipsoids95", self._mesh(shells, faces, sigma)
-        if "points" in send and update.time - self._pointed >= _POINTS - 1e-6:
-            self._pointed = update.time
+        if "points" in send and update.time - self._last_points >= _POINTS_PERIOD - 1e-6:
+            self._last_points = update.time
             yield "Points", c.Points(tuple(self._points(update)))
-        if "status" in send and update.time - self._stated >= _PATIENCE:
-            self._stated = update.time
+        if "status" in send and update.time - self._last_status >= _STATUS_PERIOD:
+            self._last_status = update.time
             yield "Estimate", _status(update)
             yield "Estimate", c.Text(json.dumps(_figures(update)))
 
@@ -143,10 +143,10 @@ class IgtlSink(EndpointUser):
             return []
         at, out = (update.stamp, update.time), []
         for readings in filter(lambda r: r.kind, update.readings):
-            if _is_whole(readings):
+            if _is_representable(readings):
                 out.append(encode(readings_message(readings, *at)))
             else:
-                self._own[f"{readings.label} not sent (mount, channel or settings)"] += 1
+                self._own_counts[f"{readings.label} not sent (mount, channel or settings)"] += 1
         return out
 
 
@@ -179,7 +179,7 @@ def readings_message(readings: Readings, stamp: int, time: float | None = None) 
     return Message(table, within(readings.label, 20), stamp, 2, metadata=metadata)
 
 
-def _is_whole(readings: Readings) -> bool:
+def _is_representable(readings: Readings) -> bool:
     """Whether a table of time, arclength and values represents readings completely."""
     placed = readings.channel is not None or np.any(readings.mount != np.eye(4))
     return not (placed or readings.settings)
@@ -234,8 +234,8 @@ def _definite(cov: Array) -> Array:
 def _unit_sphere() -> tuple[Array, Index]:
     """Eighteen points on the unit sphere, and triangles between them with outward normals."""
     grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3), -1).reshape(-1, 3)
-    some = grid[np.isin(np.abs(grid).sum(axis=1), (1.0, 2.0))]
-    points = some / np.linalg.norm(some, axis=1)[:, None]
+    corners = grid[np.isin(np.abs(grid).sum(axis=1), (1.0, 2.0))]
+    points = corners / np.linalg.norm(corners, axis=1)[:, None]
     hull = ConvexHull(points)
     faces = hull.simplices
     outward = np.einsum("fi,fi->f", hull.equations[:, :3], np.cross(

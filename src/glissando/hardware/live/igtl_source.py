@@ -59,14 +59,14 @@ class IgtlSource(EndpointUser):
         super().__init__(address)
         self.name, self.status, self._robot = address.partition("?")[0], "", robot
         self._placements = {place.name: place for place in placements}
-        self._slide, self._heard = SlideTrack(), -np.inf
+        self._slide, self._last_arrival = SlideTrack(), -np.inf
         self._last: dict[str, bytes] = {}
         self._clock = SenderClock(self._endpoint.address.clock)
         self._newest, self._origin = -1, 0
         self._kinds: dict[str, str] = {}
         self._waiting: list[tuple[float, Message]] = []
-        self._lacks_travel, self._sound, self._invalid = False, False, ""
-        self._strangers: dict[str, None] = {}
+        self._lacks_travel, self._has_readings, self._invalid = False, False, ""
+        self._unplaced_names: dict[str, None] = {}
 
     @property
     def problem(self) -> str:
@@ -76,14 +76,14 @@ class IgtlSource(EndpointUser):
                 return f"what was sent at {self.name} is not OpenIGTLink, so its peer was let go"
             calls = "nobody has called" if self._endpoint.address.listens else "nobody answers"
             return f"{calls} at {self.name}"
-        if self.status or not np.isfinite(self._heard):
+        if self.status or not np.isfinite(self._last_arrival):
             unread = " that is read here" if self.counts["of unread types"] else ""
             return self.status or f"{self.name} sends nothing{unread}"
-        if self._invalid and not self._sound:
+        if self._invalid and not self._has_readings:
             return self._invalid
-        if self._strangers and not self._sound:
+        if self._unplaced_names and not self._has_readings:
             placed = ", ".join(self._placements) or "none"
-            return f"{self.name} sends {', '.join(self._strangers)}; placed are {placed}"
+            return f"{self.name} sends {', '.join(self._unplaced_names)}; placed are {placed}"
         if not self._lacks_travel:
             return ""
         ended = self._slide.known
@@ -91,9 +91,9 @@ class IgtlSource(EndpointUser):
 
     def poll(self) -> None:
         """Receive the messages that have arrived; `read` converts them later."""
-        came = self._endpoint.receive_all()
-        self._own["heard"] += len(came)
-        self._waiting += came
+        arrived = self._endpoint.receive_all()
+        self._own_counts["heard"] += len(arrived)
+        self._waiting += arrived
 
     def read(self, clock: SessionClock) -> list[Readings]:
         """Readings that have arrived since the last call."""
@@ -103,7 +103,7 @@ class IgtlSource(EndpointUser):
         for arrival, message in waiting:
             with self._counted():
                 out += self._readings(message, arrival, clock)
-        self._sound |= bool(out)
+        self._has_readings |= bool(out)
         return out
 
     @contextmanager
@@ -114,10 +114,10 @@ class IgtlSource(EndpointUser):
         except RobotFileError:
             raise
         except NoTravelError:
-            self._own["no travel"] += 1
+            self._own_counts["no travel"] += 1
             self._lacks_travel = True
         except GlissandoError as problem:
-            self._own["invalid"] += 1
+            self._own_counts["invalid"] += 1
             self._invalid = str(problem).partition(";")[0]
 
     def _readings(
@@ -137,13 +137,13 @@ class IgtlSource(EndpointUser):
             for name, kind, value in poses_in(message, self._frame):
                 place = self._placements.get(name)
                 if place is None:
-                    self._own["unplaced"] += 1
-                    if len(self._strangers) < _MOST:
-                        self._strangers[name] = None
+                    self._own_counts["unplaced"] += 1
+                    if len(self._unplaced_names) < _MOST:
+                        self._unplaced_names[name] = None
                 elif self._is_new(name, value):
                     with self._counted():
                         yield self._reading(place, place.kind or kind, time, value)
-        self._heard = arrival
+        self._last_arrival = arrival
 
     def _travel_of(self, content: c.SensorValues) -> float:
         travel = content.values * self._frame.length_unit(content.unit)
@@ -155,7 +155,7 @@ class IgtlSource(EndpointUser):
         """Whether a pose differs from the last; servers repeat it between measurements."""
         known, self._last[name] = self._last.get(name), value.tobytes()
         repeated = known == self._last[name]
-        self._own["repeated"] += repeated
+        self._own_counts["repeated"] += repeated
         return not repeated
 
     def _require_kind(self, name: str, kind: str) -> None:

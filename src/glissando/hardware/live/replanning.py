@@ -22,7 +22,7 @@ from glissando.planning.replan import Replanner
 from glissando.planning.sliding_sensor import sliding_sensor
 from glissando.planning.zones import Zone
 
-_SETTLED = 0.3  # s from now within which the path is already at the stage and cannot be changed
+_COMMITTED = 0.3  # s from now within which the path is already at the stage and cannot be changed
 _LEAD = 0.7  # s that the computation of the first plan may take
 _FIRST = 2  # updates without a plan: a posterior of one reading leaves directions undetermined
 _NODE_STEP = 0.5  # s between the time nodes of a plan
@@ -101,7 +101,7 @@ class Replanning:
         if update.number < _FIRST:
             return
         now, last = update.ready, self.replanner.plan
-        plan = self.replanner.next(update.smoother, now + _SETTLED)
+        plan = self.replanner.next(update.smoother, now + _COMMITTED)
         if plan is not None and plan is not last:
             end = plan.start + self.replanner.path_space.duration
             times = np.append(np.arange(now - 1.0, end, _STEP), end)

@@ -77,7 +77,7 @@ class RigSource:
         stages = [*([""] if rig.slide else []), *(one.name for one in rig.further)]
         self._homing = {slide_topic(name) for name in stages}  # until their first reading
         self._paths = path, dict(further or {})
-        self._steered, self._times = steered, SessionClock()
+        self._steered, self._session_clock = steered, SessionClock()
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
@@ -114,7 +114,7 @@ class RigSource:
             time: Session times (K,), s; the first is before the present.
             travel: Travels (K,) at these times, m, continuous with the present travel.
         """
-        self._steering.put((time - self._times.of_monotonic(0.0), travel))
+        self._steering.put((time - self._session_clock.of_monotonic(0.0), travel))
 
     def _drain(self, within: float) -> None:
         """Empty the queue up to its end mark; the process cannot end before."""
@@ -146,7 +146,7 @@ class RigSource:
 
     def read(self, clock: SessionClock) -> list[Readings]:
         """Readings that have arrived since the last call."""
-        self._times = clock
+        self._session_clock = clock
         out: list[Readings] = []
         alive = self._process.is_alive()
         for _ in range(_MOST):
@@ -193,7 +193,7 @@ def _capture(
     try:
         capture(
             rig, paths[0], folder, further=paths[1],
-            steered=_Steered(steering, rig.standing_travel) if steering else None,
+            steered=_NewestPath(steering, rig.standing_travel) if steering else None,
             on_message=lambda *message: _WANTED(message[0]) and messages.put(message),
         )  # fmt: skip
     except KeyboardInterrupt:
@@ -212,7 +212,7 @@ def _capture(
         messages.put(None)
 
 
-class _Steered:
+class _NewestPath:
     """Travel along the newest path received; before the first one, the standing travel."""
 
     def __init__(self, paths: Any, standing: float) -> None:

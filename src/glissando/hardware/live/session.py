@@ -96,9 +96,9 @@ class LiveSession:
             robot.prior, robot.arclength_nodes, window=nodes,
             sensor_parameters=robot.sensor_parameters,
         )  # fmt: skip
-        self._heard = 0.0
-        self._timely: set[str] = set()
-        self._off: dict[str, str] = {}  # of sources, how their stamps are wrong
+        self._last_current = 0.0
+        self._current_sources: set[str] = set()
+        self._clock_problems: dict[str, str] = {}  # by source, the error of its stamps
         self._lag = self.smoother.lag / rate
         self.waiting: Callable[[str], None] | None = None
 
@@ -133,11 +133,11 @@ class LiveSession:
         begins = [s.first for s in self.sources if s.first is not None]
         if begins:
             self.clock.begin_at(min(begins))
-        self._heard = time.monotonic()
+        self._last_current = time.monotonic()
         while not (arrived := self._read()):
             if self._finished():
                 return
-            self._require_heard()
+            self._require_readings()
             if self.waiting is not None:
                 self.waiting(self._why_silent)
             time.sleep(_LOOK)
@@ -150,12 +150,12 @@ class LiveSession:
             if late > 1:  # one is made up for by the next update
                 skip, self.skipped = skip + late, self.skipped + late
                 continue
-            over = self._finished()
+            finished = self._finished()
             arrived += self._read()
-            if not over:
-                self._require_heard()
+            if not finished:
+                self._require_readings()
             yield self._update(number, due, arrived)
-            if over:
+            if finished:
                 return
             arrived, number = [], number + 1
 
@@ -171,31 +171,31 @@ class LiveSession:
                     self._journal.write(readings)
                 self.smoother.add(readings)
             if new:
-                self._note(source, max(float(readings.time.max()) for readings in new))
+                self._check_stamps(source, max(float(readings.time.max()) for readings in new))
             arrived += new
         return arrived
 
-    def _note(self, source: Source, newest: float) -> None:
+    def _check_stamps(self, source: Source, newest: float) -> None:
         """Record that a source sent current readings; raise if its first readings are far off."""
         now = self.clock.now()  # -inf before simulated time has begun
         off = newest - now if now > -np.inf else 0.0
         if -(self.delay + self._lag) <= off <= _AHEAD:
-            self._heard = time.monotonic()
-            self._timely.add(source.name)
-            self._off.pop(source.name, None)
+            self._last_current = time.monotonic()
+            self._current_sources.add(source.name)
+            self._clock_problems.pop(source.name, None)
             return
         side = "ahead of" if off > 0.0 else "behind"
         off_by = f"{source.name}: its readings are stamped {abs(off):.3g} s {side} this computer's"
         if abs(off) <= _OFF + self.delay:
             if off > 0.0:
-                self._heard = time.monotonic()
+                self._last_current = time.monotonic()
                 what = "clock, so the shape is of another moment"
             else:
                 what = f"clock, before the window of {self._lag:.3g} s: none is used; give a delay"
-            self._off[source.name] = f"{off_by} {what}"
+            self._clock_problems[source.name] = f"{off_by} {what}"
             return
-        self._off[source.name] = f"{off_by} clock"
-        if source.name not in self._timely:
+        self._clock_problems[source.name] = f"{off_by} clock"
+        if source.name not in self._current_sources:
             raise ImplausibleError(
                 f"{off_by} clock; set both by NTP, or take readings by their arrival "
                 f"(clock=arrival)."
@@ -212,7 +212,7 @@ class LiveSession:
     def _update(self, number: int, due: float, arrived: list[Readings]) -> Update:
         began = time.perf_counter()
         problems = [s.problem for s in self.sources] + [s.problem for s in self.sinks]
-        problems += self._off.values()
+        problems += self._clock_problems.values()
         try:
             newest = self.smoother.advance(due)
         except UnreachableError as problem:  # readings in another unit: the estimate is at rest
@@ -232,10 +232,10 @@ class LiveSession:
     def _finished(self) -> bool:
         return all(source.finished for source in self.sources)
 
-    def _require_heard(self) -> None:
+    def _require_readings(self) -> None:
         if any(getattr(source, "busy", False) for source in self.sources):
-            self._heard = time.monotonic()
-        silent = time.monotonic() - self._heard
+            self._last_current = time.monotonic()
+        silent = time.monotonic() - self._last_current
         if silent > self.patience:
             raise DeviceError(
                 f"No source has sent anything usable for {silent:.0f} s ({self._why_silent}); "
@@ -244,7 +244,7 @@ class LiveSession:
 
     @property
     def _why_silent(self) -> str:
-        problems = [*self._off.values(), *(source.problem for source in self.sources)]
+        problems = [*self._clock_problems.values(), *(source.problem for source in self.sources)]
         return "; ".join(filter(None, problems)) or "no reading came"
 
 

@@ -88,9 +88,9 @@ class RecordingSource:
         span = checked_window(recording, window)
         self._readings = chosen_streams(recording, robot, span, use, None)[0]
         self.first: float | None = span[0]
-        self._last, self._given = span[1], -np.inf
+        self._last, self._until = span[1], -np.inf
 
-    finished = property(lambda self: self._given >= self._last)
+    finished = property(lambda self: self._until >= self._last)
     problem, clock = "", None
 
     def __enter__(self) -> Self:
@@ -104,6 +104,6 @@ class RecordingSource:
 
     def read(self, clock: SessionClock) -> Sequence[Readings]:
         """Readings since the last call, up to the present session time."""
-        since, self._given = self._given, min(clock.now(), self._last)
-        some = [r.select((r.time > since) & (r.time <= self._given)) for r in self._readings]
-        return [readings for readings in some if len(readings)]
+        since, self._until = self._until, min(clock.now(), self._last)
+        selected = [r.select((r.time > since) & (r.time <= self._until)) for r in self._readings]
+        return [readings for readings in selected if len(readings)]

@@ -33,8 +33,8 @@ class Loads:
     def std_force(self) -> Array:
         """Standard deviations (M,) of the forces in their own directions, N."""
         size = np.linalg.norm(self.wrench.force, axis=-1, keepdims=True)
-        along = self.wrench.force / np.maximum(size, 1e-300)
-        return np.sqrt(np.einsum("mi,mij,mj->m", along, self.wrench.cov[:, :3, :3], along))
+        direction = self.wrench.force / np.maximum(size, 1e-300)
+        return np.sqrt(np.einsum("mi,mij,mj->m", direction, self.wrench.cov[:, :3, :3], direction))
 
 
 @dataclass(frozen=True)

@@ -86,9 +86,9 @@ class Address:
         except ValueError as problem:
             raise DeviceError(f"{text!r} is no address ({problem}); {_HINT}") from None
         listens = parts.scheme == "igtl-server"
-        sound = unit in _UNITS and axes in _AXES and clock in _CLOCKS and 0 <= start <= _LONGEST
-        sound &= {*send} <= {*SENT}
-        if not (listens or parts.scheme == "igtl") or options or parts.path or not sound:
+        valid = unit in _UNITS and axes in _AXES and clock in _CLOCKS and 0 <= start <= _LONGEST
+        valid &= {*send} <= {*SENT}
+        if not (listens or parts.scheme == "igtl") or options or parts.path or not valid:
             raise DeviceError(f"{text!r} is no address; {_HINT}")
         return cls(host, port, listens, _UNITS[unit], axes, clock, start, send)
 

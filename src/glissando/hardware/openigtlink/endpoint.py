@@ -24,7 +24,7 @@ from glissando.hardware.openigtlink.message import Message, decode
 
 _START, _END = 60.0, 5.0  # s allowed for the process to start and to end
 _MOST = 256  # messages per call of `receive`, so that a flood cannot delay the caller
-_LOOKS = 8  # calls that take all waiting messages: _MOST × _LOOKS is the process's buffer
+_MOST_CALLS = 8  # calls that take all waiting messages: _MOST × _MOST_CALLS is its buffer
 
 
 class Endpoint:
@@ -51,19 +51,19 @@ class Endpoint:
         self.text, self.address = address, Address.parse(address)
         self._mode = "hear" if hears else "tell"
         self.peers, self._started = 0, False
-        self._own, self._theirs = Counter[str](), Counter[str]()
+        self._own_counts, self._process_counts = Counter[str](), Counter[str]()
         self._link: PacketLink | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        self._early: list[tuple[float, Message]] = []
+        self._initial_messages: list[tuple[float, Message]] = []
 
     @property
     def counts(self) -> Counter[str]:
         """Number of events by name."""
-        return self._own + self._theirs
+        return self._own_counts + self._process_counts
 
     def __enter__(self) -> Self:
-        with socket.create_server(("127.0.0.1", 0)) as door:
-            port, token = door.getsockname()[1], secrets.token_bytes(16)
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            port, token = server.getsockname()[1], secrets.token_bytes(16)
             command = [sys.executable, "-m", "glissando.hardware.openigtlink.peer_server"]
             # In a session of its own, so that Ctrl-C at the terminal reaches the estimator alone.
             self._process = subprocess.Popen(
@@ -75,10 +75,10 @@ class Endpoint:
                 assert self._process.stdin is not None
                 self._process.stdin.write(token)
                 self._process.stdin.close()
-                self._link = PacketLink(_met(door, token))
+                self._link = PacketLink(_met(server, token))
                 deadline = time.monotonic() + _START
                 while not self._started and time.monotonic() < deadline:
-                    self._early = self.receive()  # messages that have arrived so far
+                    self._initial_messages = self.receive()  # messages that have arrived so far
                     time.sleep(0.005)
             except BaseException:
                 self.close()
@@ -107,7 +107,7 @@ class Endpoint:
             Whether the process accepted them; the call does not wait for it.
         """
         sent = self._open().send(Packet.BUNDLE, b"".join(messages))
-        self._own["not sent"] += not sent
+        self._own_counts["not sent"] += not sent
         self._require_alive()
         return sent
 
@@ -117,7 +117,7 @@ class Endpoint:
         Returns:
             Pairs of arrival time, s of time.monotonic(), and message.
         """
-        out, self._early = self._early, []
+        out, self._initial_messages = self._initial_messages, []
         link = self._open()
         link.flush()
         for kind, data in link.receive(_MOST):
@@ -125,11 +125,11 @@ class Endpoint:
                 try:
                     out.append((ARRIVAL.unpack_from(data)[0], decode(data[ARRIVAL.size :])))
                 except MessageError:
-                    self._own["malformed"] += 1
+                    self._own_counts["malformed"] += 1
             elif kind == Packet.REPORT:
                 report = json.loads(data)
                 self.peers, self._started = report["peers"], True
-                self._theirs = Counter(report["counts"])
+                self._process_counts = Counter(report["counts"])
                 self.address = Address(**{**vars(self.address), "port": report["port"]})
             elif kind == Packet.FAILURE:
                 raise DeviceError(data.decode())
@@ -139,10 +139,10 @@ class Endpoint:
     def receive_all(self) -> list[tuple[float, Message]]:
         """Messages of up to eight calls of `receive`, which end when no message is waiting."""
         out: list[tuple[float, Message]] = []
-        for _ in range(_LOOKS):
-            if not (came := self.receive()):
+        for _ in range(_MOST_CALLS):
+            if not (arrived := self.receive()):
                 break
-            out += came
+            out += arrived
         return out
 
     def _open(self) -> PacketLink:
@@ -166,7 +166,7 @@ class EndpointUser:
     def __init__(self, address: str, *, hears: bool = True) -> None:
         self._endpoint = Endpoint(address, hears=hears)
         self._frame = WireFrame.of(self._endpoint.address)
-        self._own = Counter[str]()
+        self._own_counts = Counter[str]()
 
     def __enter__(self) -> Self:
         self._endpoint.__enter__()
@@ -183,16 +183,16 @@ class EndpointUser:
     @property
     def counts(self) -> Counter[str]:
         """Numbers of values dropped, and of events of the connection, by name."""
-        return self._own + self._endpoint.counts
+        return self._own_counts + self._endpoint.counts
 
 
-def _met(door: socket.socket, token: bytes) -> socket.socket:
+def _met(server: socket.socket, token: bytes) -> socket.socket:
     """Accept the connection of the process that sends the token. Raises DeviceError."""
     deadline = time.monotonic() + _START
     while (left := deadline - time.monotonic()) > 0.0:
-        door.settimeout(left)
+        server.settimeout(left)
         try:
-            connected, _ = door.accept()
+            connected, _ = server.accept()
         except TimeoutError:
             break
         connected.settimeout(_END)

@@ -33,29 +33,29 @@ class PacketLink:
         connected.setblocking(False)
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.socket = connected
-        self._out: memoryview = memoryview(b"")
-        self._held = bytearray()
+        self._unsent: memoryview = memoryview(b"")
+        self._received = bytearray()
         self.ended = False
 
     @property
     def clear(self) -> bool:
         """Whether the last packet has been sent completely."""
-        return not self._out
+        return not self._unsent
 
     def send(self, kind: int, data: bytes) -> bool:
         """Send a packet; False, without effect, while an earlier one is incomplete."""
         self.flush()
-        if self._out or self.ended:
+        if self._unsent or self.ended:
             return False
-        self._out = memoryview(PACKET.pack(len(data), kind) + data)
+        self._unsent = memoryview(PACKET.pack(len(data), kind) + data)
         self.flush()
         return True
 
     def flush(self) -> None:
         """Send as much of the last packet as the socket accepts."""
-        while self._out and not self.ended:
+        while self._unsent and not self.ended:
             try:
-                self._out = self._out[self.socket.send(self._out) :]
+                self._unsent = self._unsent[self.socket.send(self._unsent) :]
             except (BlockingIOError, InterruptedError):
                 return
             except OSError:
@@ -63,17 +63,17 @@ class PacketLink:
 
     def receive(self, most: int = 1 << 20) -> list[tuple[int, bytes]]:
         """Packets that have arrived, at most `most` of them and about a megabyte in a call."""
-        if len(self._held) < _MOST_READ:
+        if len(self._received) < _MOST_READ:
             self._read()
         at, out = 0, list[tuple[int, bytes]]()
-        while len(out) < most and len(self._held) >= at + PACKET.size:
-            size, kind = PACKET.unpack_from(self._held, at)
+        while len(out) < most and len(self._received) >= at + PACKET.size:
+            size, kind = PACKET.unpack_from(self._received, at)
             begin, end = at + PACKET.size, at + PACKET.size + size
-            if len(self._held) < end:
+            if len(self._received) < end:
                 break
-            out.append((kind, bytes(self._held[begin:end])))
+            out.append((kind, bytes(self._received[begin:end])))
             at = end
-        del self._held[:at]
+        del self._received[:at]
         return out
 
     def _read(self) -> None:
@@ -87,7 +87,7 @@ class PacketLink:
             if not data:
                 self.ended = True
                 return
-            self._held += data
+            self._received += data
             if len(data) < _READ:
                 return
 

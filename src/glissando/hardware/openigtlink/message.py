@@ -205,7 +205,7 @@ class Framer:
     def __init__(self, most: int = 1 << 22) -> None:
         self.skipped = 0
         self._held = bytearray()
-        self._most, self._pass_over = most, 0
+        self._most, self._to_skip = most, 0
         self._size: int | None = None  # of the incomplete message
 
     def feed(self, data: bytes) -> list[bytes]:
@@ -217,9 +217,9 @@ class Framer:
         self._held += data
         out: list[bytes] = []
         while True:
-            passed = self._take(min(self._pass_over, len(self._held)))
-            self._pass_over -= len(passed)
-            if self._pass_over:
+            passed = self._take(min(self._to_skip, len(self._held)))
+            self._to_skip -= len(passed)
+            if self._to_skip:
                 return out
             if self._size is None and len(self._held) >= HEADER:
                 self._begin(read_header(bytes(self._held[:HEADER])))
@@ -234,7 +234,7 @@ class Framer:
         size = HEADER + header.size
         if header.type_id not in CONTENTS:
             self.skipped += 1
-            self._pass_over = size
+            self._to_skip = size
             return
         if header.size > self._most:
             raise MessageError(

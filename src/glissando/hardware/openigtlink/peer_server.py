@@ -30,10 +30,10 @@ _PEERS = 16  # largest number of connected peers
 _QUEUE = 4  # updates in the queue of a peer
 _KERNEL = 1 << 17  # bytes that the system may buffer for a peer; buffered updates become stale
 _WAITING = 2048  # messages queued for the estimator
-_HEARD = 1 << 22  # bytes a second that a peer may send
-_OVERHEARD = 1 << 16  # the same if messages are discarded
+_INPUT_LIMIT = 1 << 22  # bytes a second that a peer may send
+_DISCARDED_LIMIT = 1 << 16  # the same if messages are discarded
 _READ = 1 << 16
-_DEAD = 10.0  # s in which a peer accepts no byte before it is disconnected
+_STALL_LIMIT = 10.0  # s in which a peer accepts no byte before it is disconnected
 _AGAIN = 0.5  # s between attempts to connect
 _CALL = 2.0  # s allowed for an attempt
 _REPORT = 0.25  # s between reports
@@ -77,7 +77,7 @@ class PeerServer:
 
     def __init__(self, address: Address, link: PacketLink, *, hears: bool = True) -> None:
         self.address, self._link, self._hears = address, link, hears
-        self._allowed = _HEARD if hears else _OVERHEARD
+        self._allowed = _INPUT_LIMIT if hears else _DISCARDED_LIMIT
         self.counts: Counter[str] = Counter()
         self._peers: dict[socket.socket, _Peer] = {}
         self._messages: deque[bytes] = deque(maxlen=_WAITING)
@@ -111,7 +111,7 @@ class PeerServer:
             self._call()
             for key, events in self._selector.select(_LOOK if self._messages else _REST):
                 self._serve(key.fileobj, events)  # type: ignore[arg-type]
-            self._look_after_peers()
+            self._check_peers()
             self._pass_on()
 
     def _serve(self, ready: socket.socket, events: int) -> None:
@@ -121,7 +121,7 @@ class PeerServer:
                     self._broadcast(data)
         elif ready is self._server:
             with contextlib.suppress(OSError):
-                self._welcome(ready.accept()[0])
+                self._add_peer(ready.accept()[0])
         elif ready is self._calling:
             self._answered(ready)
         elif ready in self._peers:
@@ -166,12 +166,12 @@ class PeerServer:
             return
         self._selector.unregister(calling)
         self._calling = None
-        peer = self._welcome(calling)
+        peer = self._add_peer(calling)
         if peer and self.address.start:
             peer.waiting.append(encode(Message(StartTracking(self.address.start), "glissando")))
             self._push(peer)
 
-    def _welcome(self, connected: socket.socket) -> _Peer | None:
+    def _add_peer(self, connected: socket.socket) -> _Peer | None:
         if len(self._peers) >= _PEERS:
             self.counts["turned away"] += 1
             connected.close()
@@ -246,7 +246,7 @@ class PeerServer:
         peer.socket.close()
         self._next_call = time.monotonic() + _AGAIN
 
-    def _look_after_peers(self) -> None:
+    def _check_peers(self) -> None:
         now = time.monotonic()
         fresh = now >= self._second
         if fresh:
@@ -255,7 +255,7 @@ class PeerServer:
             if fresh and peer.budget < self._allowed:
                 peer.budget = self._allowed
                 self._select_events(peer)
-            if (peer.going or peer.waiting) and now - peer.sent > _DEAD:
+            if (peer.going or peer.waiting) and now - peer.sent > _STALL_LIMIT:
                 self._let_go(peer, "silent")
 
     def _pass_on(self) -> None:

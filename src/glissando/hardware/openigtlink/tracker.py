@@ -48,8 +48,8 @@ def poses_in(message: Message, frame: WireFrame) -> Iterator[tuple[str, str, Arr
 def is_rigid(pose: Array) -> bool:
     """Whether a pose (4, 4) received as float32 is a rigid motion, within `SKEW`."""
     turn = pose[:3, :3]
-    sound = np.all(np.isfinite(pose)) and np.linalg.det(turn) > 0.0
-    return bool(sound and np.abs(turn @ turn.T - np.eye(3)).max() <= SKEW)
+    proper = np.all(np.isfinite(pose)) and np.linalg.det(turn) > 0.0
+    return bool(proper and np.abs(turn @ turn.T - np.eye(3)).max() <= SKEW)
 
 
 def normalized(pose: Array) -> Array:
@@ -104,11 +104,11 @@ class IgtlTracker(EndpointUser):
         for name, _, pose in poses_in(message, self._frame):
             handle = self._handles.get(name)
             if handle is None:
-                self._own["unplaced"] += 1
+                self._own_counts["unplaced"] += 1
             elif not is_rigid(pose):
-                self._own["invalid"] += 1
+                self._own_counts["invalid"] += 1
             elif self._last.get(handle) == pose.tobytes():
-                self._own["repeated"] += 1
+                self._own_counts["repeated"] += 1
             else:
                 self._last[handle] = pose.tobytes()
                 pose = normalized(pose)

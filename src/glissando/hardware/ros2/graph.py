@@ -128,14 +128,14 @@ class Graph:
             from rclpy.context import Context
             from rclpy.executors import SingleThreadedExecutor, TimeoutException
         self._context, self._idle = Context(), TimeoutException
-        given = ["--ros-args", "--params-file", self.address.params] if self.address.params else []
+        args = ["--ros-args", "--params-file", self.address.params] if self.address.params else []
         try:
-            rclpy.init(args=given, context=self._context, domain_id=self.address.domain)
+            rclpy.init(args=args, context=self._context, domain_id=self.address.domain)
             self.node = _managed_node(self, self._context)
         except Exception as problem:  # rclpy's own errors share no other base
             self._context.try_shutdown()
             raise DeviceError(
-                f"The ROS 2 node {self.name} did not start ({_in_a_line(problem)}); correct "
+                f"The ROS 2 node {self.name} did not start ({_one_line(problem)}); correct "
                 f"params= and name=."
             ) from None
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -170,7 +170,7 @@ class Graph:
         try:
             action()
         except Exception as problem:
-            self._failure = _in_a_line(problem)
+            self._failure = _one_line(problem)
             raise
         self.state = state
 
@@ -193,7 +193,7 @@ class Graph:
             ready.result()  # raises the exception of the callback, if any
 
 
-def _in_a_line(problem: Exception) -> str:
+def _one_line(problem: Exception) -> str:
     """Message of an rcl error on one line, without the line that marks its position."""
     lines = [line.strip() for line in str(problem).splitlines()]
     return " ".join(line for line in lines if line != "^")

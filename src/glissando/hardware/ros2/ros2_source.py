@@ -60,7 +60,7 @@ class Ros2Source:
         self._subscriptions: list[Any] = []
         self._silence, self._looked = "", -np.inf
         self._waiting: deque[tuple[Placement | None, Any, float]] = deque()  # None for the travel
-        self._begun = False
+        self._clock_begun = False
 
     def __enter__(self) -> Self:
         with needing(ROS_PACKAGES, "ros2", DeviceError):
@@ -83,11 +83,11 @@ class Ros2Source:
         quality = profile(_DEPTH, reliable=False)
         subscribe = self._graph.node.create_subscription
         for place, kind in self._kinds.items():
-            heard = partial(self._heard, place)
-            self._subscriptions.append(subscribe(kind, place.name, heard, quality))
+            on_message = partial(self._on_message, place)
+            self._subscriptions.append(subscribe(kind, place.name, on_message, quality))
         if topic := self._address.travel:
-            moved = partial(self._heard, None)
-            self._subscriptions.append(subscribe(self._topics[topic], topic, moved, quality))
+            on_travel = partial(self._on_message, None)
+            self._subscriptions.append(subscribe(self._topics[topic], topic, on_travel, quality))
 
     def _unsubscribe(self) -> None:
         while self._subscriptions:
@@ -118,7 +118,7 @@ class Ros2Source:
             return f"nobody publishes {topic}"
         return "" if wanted in types else f"{topic} is of {', '.join(types)}, not {wanted}"
 
-    def _heard(self, place: Placement | None, message: Any) -> None:
+    def _on_message(self, place: Placement | None, message: Any) -> None:
         if self._graph.state != "active":
             self.counts["ignored"] += 1
             return
@@ -128,7 +128,7 @@ class Ros2Source:
             self._waiting.popleft()
             self.counts["dropped"] += 1
 
-    def _moved(self, message: Any, time: float) -> None:
+    def _add_travel(self, message: Any, time: float) -> None:
         if not len(message.position) or not abs(message.position[0]) < _FAR:
             raise DeviceError(f"{self._address.travel} stated no travel; send m.")
         self._slide.add(time, float(message.position[0]))
@@ -146,7 +146,7 @@ class Ros2Source:
             try:
                 time = self._time(message, arrival, clock)
                 if place is None:
-                    self._moved(message, time)
+                    self._add_travel(message, time)
                 else:
                     out.append(self._reading(place, message, time))
             except RobotFileError:
@@ -178,9 +178,9 @@ class Ros2Source:
             return clock.of_nanoseconds(stamp.sec * 1_000_000_000 + stamp.nanosec)
         if self._address.clock == "sender":
             seconds = stamp.sec + 1e-9 * stamp.nanosec
-            if not self._begun:
+            if not self._clock_begun:
                 clock.begin_at(seconds)
-                self._begun = True
+                self._clock_begun = True
             return seconds
         ticks = (stamp.nanosec << 32) // 1_000_000_000
         return clock.of_stamp((stamp.sec << 32) + ticks)

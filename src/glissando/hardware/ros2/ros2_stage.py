@@ -32,8 +32,8 @@ class Ros2StagePeer:
         self._address = Ros2Address.of_rig(address)
         self._stage, self.counts = stage, Counter[str]()
         self._command, self._measured = stage.command or COMMAND, stage.measured or MEASURED
-        self._graph = Graph(self._address, "stage", self._join)
-        self._come: list[tuple[float, float]] = []
+        self._graph = Graph(self._address, "stage", self._configure)
+        self._arrived: list[tuple[float, float]] = []
 
     def __enter__(self) -> Self:
         self._graph.__enter__()
@@ -42,7 +42,7 @@ class Ros2StagePeer:
     def __exit__(self, *_: object) -> None:
         self._graph.__exit__()
 
-    def _join(self) -> None:
+    def _configure(self) -> None:
         from sensor_msgs.msg import JointState
         from std_msgs.msg import Float64MultiArray
 
@@ -51,9 +51,9 @@ class Ros2StagePeer:
         kind = Float64MultiArray if plain else JointState
         self._goals = node.create_publisher(kind, self._command, profile(1, reliable=True))
         quality = profile(_DEPTH, reliable=False)
-        node.create_subscription(JointState, self._measured, self._heard, quality)
+        node.create_subscription(JointState, self._measured, self._on_message, quality)
 
-    def _heard(self, message: Any) -> None:
+    def _on_message(self, message: Any) -> None:
         joint = self._stage.joint
         try:
             place = message.position[list(message.name).index(joint) if joint else 0]
@@ -61,12 +61,12 @@ class Ros2StagePeer:
             self.counts["invalid"] += 1
             return
         measured = measured_at(message.header.stamp, time.monotonic(), self._address.clock)
-        self._come.append((measured, float(place)))
+        self._arrived.append((measured, float(place)))
 
     def positions(self) -> list[tuple[float, float]]:
         """Times and positions that have arrived."""
         self._graph.spin()
-        out, self._come = self._come, []
+        out, self._arrived = self._arrived, []
         return out
 
     def send(self, place: float, speed: float) -> None:

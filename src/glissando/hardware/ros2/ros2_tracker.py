@@ -55,10 +55,10 @@ class Ros2Tracker:
         kind = PoseStamped if self._address.type == "pose" else TransformStamped
         quality = profile(_DEPTH, reliable=False)
         for tool in self.tools:
-            heard = partial(self._heard, tool)
-            self._graph.node.create_subscription(kind, tool.serial, heard, quality)
+            on_message = partial(self._on_message, tool)
+            self._graph.node.create_subscription(kind, tool.serial, on_message, quality)
 
-    def _heard(self, tool: Tool, message: Any) -> None:
+    def _on_message(self, tool: Tool, message: Any) -> None:
         self._waiting.append((tool, message, time.monotonic()))
         if len(self._waiting) > _WAITING:
             self._waiting.popleft()

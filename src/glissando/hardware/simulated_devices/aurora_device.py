@@ -141,17 +141,17 @@ class Device:
         tracking, name = self._tracking, ""
         try:
             name, text = _command(line)
-            reply = self._obey(name, text, now)
+            reply = self._execute(name, text, now)
         except CommandError as refusal:
             reply = text_reply(f"ERROR{refusal.args[0]:02X}")
         now += self._dice.faults.slow_init if name == "INIT" else 0.0
         self._replies += 1
-        reply = self._spoilt(reply, tracking)
+        reply = self._with_faults(reply, tracking)
         if not byte:
             return [(now, reply)]
         return [(now + _HEAD * byte, reply[:_HEAD]), (now + len(reply) * byte, reply[_HEAD:])]
 
-    def _spoilt(self, reply: bytes, tracking: bool) -> bytes:
+    def _with_faults(self, reply: bytes, tracking: bool) -> bytes:
         dice, k = self._dice, self._replies
         if not tracking:
             return dice.flip(reply, "crc_setup", k)
@@ -162,7 +162,7 @@ class Device:
         reply = dice.cut(reply, "truncate", k)
         return b"" if dice("quiet", k) else reply
 
-    def _obey(self, name: str, text: str, now: float) -> bytes:
+    def _execute(self, name: str, text: str, now: float) -> bytes:
         if name in ("TX", "BX"):
             self._require(tracking=True)
             return self._report(name, text, now)
@@ -196,7 +196,7 @@ class Device:
                 raise CommandError(0x23)
             return _VERSION.format(self._nature.firmware)
         if name == "PHSR":
-            ports = self._ports.listed(_whole(text or "00"))
+            ports = self._ports.listed(_hexadecimal(text or "00"))
             return f"{len(ports):02X}" + "".join(f"{p.handle:02X}{p.status:03X}" for p in ports)
         if name == "PHINF":
             return self._ports.describe(text)
@@ -230,10 +230,10 @@ class Device:
     def _report(self, name: str, text: str, now: float) -> bytes:
         if name == "BX" and any(old in self._nature.firmware for old in _OLD):
             raise CommandError(0x01)
-        options = _whole(text or "0001")
+        options = _hexadecimal(text or "0001")
         if options & ~(0x0001 | _WIDE):
             raise CommandError(0x23)
-        self._happen(now)
+        self._apply_due_faults(now)
         index = self._index(now)
         reports = [self._port_report(p, index, options) for p in self._ports.all if p.enabled]
         frame, status, self._news = (index - self._zero) % 2**32, self._news, 0
@@ -241,7 +241,7 @@ class Device:
             return bx_reply(reports, frame, status)
         return tx_reply(reports, frame, status, bool(self._dice.faults.bare))
 
-    def _happen(self, now: float) -> None:
+    def _apply_due_faults(self, now: float) -> None:
         """Apply faults that are due: a coil unplugged or plugged in, a reset of the counter."""
         since = self._since(now)
         while self._plugs and since >= self._plugs[0][0]:
@@ -276,7 +276,7 @@ def _command(line: bytes) -> tuple[str, str]:
     return name.upper(), rest.strip()
 
 
-def _whole(digits: str) -> int:
+def _hexadecimal(digits: str) -> int:
     try:
         return int(digits, 16)
     except ValueError:

@@ -91,13 +91,13 @@ class Grbl:
                 self.state = "Idle"
             return
         goal, feed = self.jogs[0]
-        left = goal - self.place
-        ahead = len(self.jogs) > 1 and (self.jogs[1][0] - goal) * left > 0.0
-        braking = feed if ahead else (2.0 * self.acceleration * abs(left)) ** 0.5
-        aim = min(feed, self.fastest, braking) * (1.0 if left > 0.0 else -1.0)
+        remaining = goal - self.place
+        ahead = len(self.jogs) > 1 and (self.jogs[1][0] - goal) * remaining > 0.0
+        braking = feed if ahead else (2.0 * self.acceleration * abs(remaining)) ** 0.5
+        aim = min(feed, self.fastest, braking) * (1.0 if remaining > 0.0 else -1.0)
         self.speed += min(max(aim - self.speed, -change), change)
         self.place += self.speed * step
-        if (goal - self.place) * left <= 0.0 or abs(goal - self.place) < 1e-4:
+        if (goal - self.place) * remaining <= 0.0 or abs(goal - self.place) < 1e-4:
             self.jogs.popleft()
             if not self.jogs:
                 self.place, self.speed, self.state = goal, 0.0, "Idle"
@@ -119,7 +119,7 @@ class Grbl:
                 self.jogs.clear()  # a feed hold ends a jog as a jog cancel does
             elif byte in b"\r\n":
                 if self.letters:
-                    out.append(self._obey(self.letters.decode("ascii", "replace")))
+                    out.append(self._execute(self.letters.decode("ascii", "replace")))
                 self.letters.clear()
             elif byte < 0x80:
                 self.letters.append(byte)
@@ -137,7 +137,7 @@ class Grbl:
         feed = 60.0 * abs(self.speed)
         return f"<{self.state}|MPos:{self.place:.3f},0.000,0.000|FS:{feed:.0f},0>\r\n".encode()
 
-    def _obey(self, line: str) -> bytes:
+    def _execute(self, line: str) -> bytes:
         if line == "$X":
             self.state = "Idle" if self.state == "Alarm" else self.state
             return b"[MSG:Caution: Unlocked]\r\nok\r\n"

@@ -31,13 +31,13 @@ class Profile:
         >>> to(0.0, 0.0, 60.0, speed=24.0, acceleration=100.0).at(1.0)
         (21.12, 24.0)
         """
-        position, left = self.position, max(time - self.start, 0.0)
+        position, remaining = self.position, max(time - self.start, 0.0)
         for duration, speed, acceleration in self.pieces:
-            into = min(left, duration)
+            into = min(remaining, duration)
             position += into * (speed + 0.5 * acceleration * into)
-            if left < duration:
+            if remaining < duration:
                 return position, speed + acceleration * into
-            left -= duration
+            remaining -= duration
         return position, 0.0
 
 

@@ -74,7 +74,7 @@ class Xl430:
     def _present(self, now: float) -> int:
         return math.floor(self._actual(now)[0]) - self._turns + self.table["homing_offset"]
 
-    def _stand(self, now: float) -> None:
+    def _hold_position(self, now: float) -> None:
         """End any motion; the goal becomes the present position."""
         self._profile = Profile(now, self._actual(now)[0])
         self.table["goal_position"] = self._present(now)
@@ -84,7 +84,7 @@ class Xl430:
         limit = 0.02 * self.table["bus_watchdog"]
         if self.table["torque_enable"] and 0.0 < limit < now - self._heard:
             self.table["bus_watchdog"] = -1
-            self._stand(self._heard + limit)
+            self._hold_position(self._heard + limit)
         angle, _ = self._actual(now)
         if abs(angle - self._profile.at(now)[0]) < _TOUCH:
             self._stalled_since = None
@@ -178,12 +178,12 @@ class Xl430:
         for name, value in changes.items():
             self.table[name] = value
         if [self.table[name] for name in _MODES] != before:
-            self._stand(now)
+            self._hold_position(now)
         elif self.table["torque_enable"] and "goal_position" in changes:
-            self._set_out(now)
+            self._start_motion(now)
         return Fault.NONE
 
-    def _set_out(self, now: float) -> None:
+    def _start_motion(self, now: float) -> None:
         """Begin the motion to the goal, with the profile of the registers."""
         table = self.table
         goal = table["goal_position"] + 0.5 + self._turns - table["homing_offset"]

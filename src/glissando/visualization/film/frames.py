@@ -18,7 +18,7 @@ from glissando.visualization.canvas import MM
 from glissando.visualization.sampling import drawn_at
 from glissando.visualization.sites import NEAR, seen_positions, sites_of
 
-_DROPPED = 0.25  # s, largest time to the nearest reading at which a sensor is shown
+_SENSOR_GAP = 0.25  # s, largest time to the nearest reading at which a sensor is shown
 _ALONG = 63  # steps along the tube, minimum
 
 
@@ -102,7 +102,7 @@ def sensor_places(sites: Sequence[Readings], times: Array) -> Array:
     """Arclengths (F, S) of the sensors at times (F,); NaN without a reading within 0.25 s."""
     place = np.full((times.size, len(sites)), np.nan)
     for column, site in zip(place.T, sites, strict=True):
-        rows, near = nearest_samples(site, times, _DROPPED)
+        rows, near = nearest_samples(site, times, _SENSOR_GAP)
         column[near] = site.arclength[rows[near]]
     return place
 

@@ -47,7 +47,7 @@ class Stage:
         self._set_space(left)
         self._set_curve(curve, f"{speed:.2g}× speed" if abs(speed - 1.0) > 0.02 else "")
         self._set_strip(strip)
-        self._explain(left)
+        self._draw_legend(left)
         _fit(left, self.space)
         figure.canvas.draw()
         self.still = figure.canvas.copy_from_bbox(figure.bbox)
@@ -123,7 +123,7 @@ class Stage:
         self.cursor = self._add(axes.axvline(color="black", lw=2.4))
         self.pins = [self._line(axes, **look, ms=8) for look in self.looks]
 
-    def _explain(self, panel: Any) -> None:
+    def _draw_legend(self, panel: Any) -> None:
         """Draw the legend above the view in space."""
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch

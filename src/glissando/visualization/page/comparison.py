@@ -23,7 +23,7 @@ from glissando.visualization.page.scene import scene_of
 _SCALES = {"position": (1e3, "mm"), "rotation": (180.0 / np.pi, "deg")}
 _LEVELS = ("0.5", "0.9", "0.95", "0.99")
 _DASH = "–"
-_WRONG = (ValueError, KeyError, TypeError, AttributeError, IndexError, ArithmeticError)
+_REPORT_ERRORS = (ValueError, KeyError, TypeError, AttributeError, IndexError, ArithmeticError)
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def comparison(runs: Sequence[WrittenRun]) -> str:
     """
     try:
         return _page(runs)
-    except _WRONG as problem:
+    except _REPORT_ERRORS as problem:
         if isinstance(problem, GlissandoError):
             raise
         files = ", ".join(str(run.folder / "report.json") for run in runs)

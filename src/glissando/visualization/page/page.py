@@ -27,8 +27,8 @@ from glissando.visualization.arrows import Arrows
 from glissando.visualization.canvas import MM
 from glissando.visualization.page.scene import Progress, Scene, scene_of
 
-_NOTHING = 65535  # code of NaN
-_SIX = np.triu_indices(3)
+_NAN_CODE = 65535  # code of NaN
+_UPPER_TRIANGLE = np.triu_indices(3)
 
 
 def save_view(
@@ -117,7 +117,7 @@ def contents(scene: Scene) -> dict[str, Any]:
         "arclength": scene.arclength.tolist(),
         "centre": packed(centre),
         "quaternion": packed(se3.quaternion(scene.pose[..., :3, :3])),
-        "root": packed(scene.root[..., *_SIX]),
+        "root": packed(scene.root[..., *_UPPER_TRIANGLE]),
         "sensors": scene.sensors,
         "place": packed(scene.place),
         "sites": scene.sites,
@@ -145,7 +145,7 @@ def _forces(arrows: Arrows) -> dict[str, Any]:
         "unit": arrows.unit,
         "length": arrows.length,
         "force": packed(arrows.scale * arrows.force),
-        "root": packed(arrows.scale * symmetric_root(arrows.cov)[..., *_SIX]),
+        "root": packed(arrows.scale * symmetric_root(arrows.cov)[..., *_UPPER_TRIANGLE]),
     }
 
 
@@ -156,7 +156,7 @@ def packed(values: Array) -> dict[str, Any]:
     """
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
-    step = (high - low) / (_NOTHING - 1)
-    whole = np.nan_to_num(np.round((values - low) / (step or 1.0)), nan=_NOTHING)
+    step = (high - low) / (_NAN_CODE - 1)
+    whole = np.nan_to_num(np.round((values - low) / (step or 1.0)), nan=_NAN_CODE)
     data = base64.b64encode(whole.astype("<u2").tobytes()).decode("ascii")
     return {"shape": list(values.shape), "low": low, "step": step, "data": data}

@@ -116,7 +116,7 @@ def scene_of(
         if progress:
             progress(min(first + _CHUNK, times.size), times.size)
     used, true = sites_of(readings, grid, Readings), sites_of(truth, grid)
-    misses = np.array([_misses(posterior, site, times) for site in true])
+    misses = np.array([_position_errors(posterior, site, times) for site in true])
     site_place, miss, nees = misses.reshape(len(true), 3, times.size).transpose(1, 2, 0)
     return Scene(
         time=times,
@@ -151,7 +151,7 @@ def moments(nodes: Array, window: tuple[float, float] | None) -> Array:
     return np.unique(drawn_at(nodes, int(np.ceil(_RATE * (last - first) - 1e-9)), _MOST))
 
 
-def _misses(posterior: Posterior, site: Readings, times: Array) -> Array:
+def _position_errors(posterior: Posterior, site: Readings, times: Array) -> Array:
     """Arclength, position error and its NEES (3, F) of the samples shown; NaN without one."""
     rows, near = nearest_samples(site, times, NEAR)
     out = np.full((3, times.size), np.nan)
