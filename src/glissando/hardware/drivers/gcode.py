@@ -90,7 +90,7 @@ class GcodeLine:
 
     Args:
         address: Serial path, or tcp://host:port.
-        stage: Its axis and baud rate.
+        stage: Settings with the axis and the baud rate.
         counts: Counter of missing and corrupt answers, updated in place.
         on_loss: Called when the controller has lost its position.
 
@@ -201,7 +201,7 @@ class GcodeSlide(PositionSlide):
 
     Args:
         address: Serial path, or tcp://host:port.
-        stage: Its limits and its axis.
+        stage: Limits and axis of the stage.
 
     Raises:
         DeviceError: From any method: the controller does not answer, refuses or raises an alarm,

@@ -58,8 +58,8 @@ class Tracker(Protocol):
 class LinearStage(Protocol):
     """A stage that slides a sensor: `Slide`, `GcodeSlide`, `RemoteSlide`; a context manager.
 
-    Nothing moves before the travel is known. Every method raises DeviceError when the device fails;
-    the stage stops whenever the block ends, also by an exception.
+    Except in homing, nothing moves before the travel is known. Every method raises DeviceError if
+    the device fails; the stage stops whenever the block ends, also by an exception.
     """
 
     @property

@@ -1,7 +1,7 @@
 """Driver of the stage that slides the sensor: homing, moves, paths and readings.
 
-Nothing moves before the stage is homed, and no goal lies outside the stroke. During a motion the
-servo's own watchdog is on: it stops the motion if the host sends nothing, for whatever reason.
+Except in homing, nothing moves before the travel is known, and no goal lies outside the stroke.
+During a motion the servo's own watchdog is on: it stops the motion if the host sends nothing.
 """
 
 from __future__ import annotations

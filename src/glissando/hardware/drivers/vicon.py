@@ -42,7 +42,7 @@ class ViconFrame:
         received: Time of arrival, monotonic s; later than exposure by Tracker's latency.
         poses: T_wo (4, 4) in metres, by name of the object.
         missing: Names of objects that were not visible.
-        problems: How often bytes were 'truncated', items 'unknown' or objects 'malformed'.
+        problems: Number of 'truncated' bytes, 'unknown' items and 'malformed' objects.
     """
 
     number: int

@@ -191,7 +191,7 @@ def pose_of(message: Any, name: str) -> Array:
 
     Args:
         message: The message.
-        name: Its topic.
+        name: Topic of the message.
 
     Raises:
         DeviceError: The pose is not a rigid motion within 20 m.

@@ -30,7 +30,7 @@ def started(name: str, *options: str | os.PathLike[str], within: float = 60.0) -
         within: Seconds allowed for it to become ready.
 
     Raises:
-        SimulationError: It does not become ready; the message ends with its last output.
+        SimulationError: The device does not become ready; the message ends with its last output.
     """
     command = [sys.executable, "-m", f"{__name__}.{name}", *(os.fspath(one) for one in options)]
     with tempfile.TemporaryFile() as errors:
