@@ -1,1 +1,1 @@
-"""Calibration: constants of a rig and of a robot, from recorded data."""
+"""Calibration of the constants of rigs and robots from recorded data."""

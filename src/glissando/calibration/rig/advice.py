@@ -1,4 +1,4 @@
-"""Parameters that a calibration leaves uncertain, motions that show them, and residuals."""
+"""Advice on parameters that a calibration leaves uncertain, and statistics of residuals."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from glissando.calibration.rig.shape import body_readings
 from glissando.geometry.se3 import Array
 from glissando.solver.measurement_factors import states_at
 
-_UNLIKELY = 4.0  # standard deviations from what was expected
-_LEARNED = 0.5  # of the standard deviation before: above it little was learned
+_UNLIKELY = 4.0  # standard deviations from the prior mean
+_LEARNED = 0.5  # posterior over prior standard deviation above which a parameter is uncertain
 _CLOCKS = PARAMETERS.index("tracker delay"), PARAMETERS.index("slide delay")
 
 _GROUPS: dict[str, tuple[slice, str]] = {
@@ -56,14 +56,14 @@ _GROUPS: dict[str, tuple[slice, str]] = {
 
 @dataclass(frozen=True)
 class StreamFit:
-    """Residuals of a stream.
+    """Statistics of a stream's residuals.
 
     Attributes:
         name: Name of the stream.
         count: Number of readings.
         rms: RMS of the residuals [m, rad].
-        whitened: RMS in units of the stated noise, 1 if it is true: of the coil's innovations by
-            block, and of a body's residuals, which are smaller as it was used for the shape.
+        whitened: RMS of whitened values, about 1 if the stated noise is true: innovations per block
+            for the coil; residuals for a body, which are smaller because they are of the fit.
     """
 
     name: str
@@ -73,7 +73,7 @@ class StreamFit:
 
 
 def stream_fits(fit: RigFit) -> tuple[StreamFit, ...]:
-    """Residuals of the coil and of every body."""
+    """Residual statistics of the coil and of every body."""
     model = fit.model
     residual = replace(model, block_size=1).residual(fit.rig).reshape(-1, ROWS)
     whitened = float(np.sqrt(np.mean(fit.innovations() ** 2)))
@@ -92,15 +92,16 @@ def _rms(residual: Array) -> Array:
 
 
 def advice(data: RigData, cov: Array, std: Array) -> tuple[str, ...]:
-    """Sentences on every group of parameters that is known little better than before.
+    """Sentences on each group of parameters whose posterior is little better than the prior.
 
     Args:
         data: The session.
-        cov: Covariance (17, 17) after calibration.
-        std: Standard deviations (17,) before.
+        cov: Posterior covariance (17, 17).
+        std: Prior standard deviations (17,).
 
     Returns:
-        A sentence for each group that is uncertain in any direction, with the motion that shows it.
+        A sentence for each group that is uncertain in any direction, with a motion that makes it
+        observable.
     """
     sentences, names = [], []
     for name, (at, motion) in _GROUPS.items():
@@ -130,12 +131,12 @@ def advice(data: RigData, cov: Array, std: Array) -> tuple[str, ...]:
 
 
 def prior_conflicts(rig: Rig, expected: Rig, std: Array) -> tuple[str, ...]:
-    """Sentences on numbers of the slide and the clocks that lie far from what was expected.
+    """Sentences on constants of slide and clocks that lie far from their prior mean.
 
     Args:
-        rig: As calibrated.
-        expected: Mean of the belief before.
-        std: Standard deviations (17,) of that.
+        rig: Calibrated rig.
+        expected: Prior mean.
+        std: Prior standard deviations (17,).
     """
     away, sentences = rig.minus(expected), []
     for name, (at, _) in _GROUPS.items():

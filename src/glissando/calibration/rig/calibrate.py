@@ -1,4 +1,4 @@
-"""Calibration: a rough start for both directions, both refined, the likelier one taken."""
+"""Calibration of a rig: initial guess and refinement for both directions; the likelier is kept."""
 
 from __future__ import annotations
 
@@ -24,28 +24,29 @@ from glissando.model.quantiles import chi_square_exceedance
 from glissando.model.robot import Robot
 from glissando.solver.block_tridiagonal import factor
 
-_READINGS = 400  # blocks that are used: more of them read the same places again
-_FIRST = 60  # readings that tell one direction from the other
+_READINGS = 400  # blocks that are used: further blocks would repeat the same places
+_FIRST = 60  # readings used to choose the direction
 _OUTLIER = float(
     chi_square_exceedance(1e-6, ROWS)
-)  # squared innovation of a reading that is left out
-_WORST, _MOST_OUT = 0.1, 0.2  # of the largest square go at once, and of all readings at most
-_EDGE = 0.02  # s: readings so near an end of the recording may be beyond it
+)  # squared innovation above which a reading is an outlier
+_WORST, _MOST_OUT = 0.1, 0.2  # of the largest square, removed in one pass; share removed at most
+_EDGE = 0.02  # s: margin at the ends of the recording, for errors of the delay
 _NO_TRAVEL = 1e-3  # m
-_MISFIT = 1.5  # of what is stated, above which residuals make deviations untrue
-_DOUBT = 3.0  # log odds below which a stated direction counts for more
+_MISFIT = 1.5  # RMS of whitened innovations above which standard deviations are too small
+_DOUBT = 3.0  # log odds below which the stated direction is preferred
 
 
 def calibrate(data: RigData, robot: Robot, *, readings: int = _READINGS) -> Calibration:
-    """Calibrate a rig from a session; without motion capture, the slide against the tracker.
+    """Calibrate a rig from a session; without motion capture, only the slide.
 
     Args:
         data: The session.
         robot: The robot with its prior.
-        readings: Coil readings to use at most, each the mean over a tenth of a second.
+        readings: Maximum number of coil readings, each the mean over a tenth of a second.
 
     Returns:
-        The constants, their joint covariance, and sentences on what the session does not show.
+        The constants, their joint covariance, and sentences on constants that the session leaves
+        uncertain.
 
     Raises:
         RecordingError: If there are too few coil readings while slide and motion capture ran, if
@@ -62,7 +63,7 @@ def calibrate(data: RigData, robot: Robot, *, readings: int = _READINGS) -> Cali
 
 
 def _calibrated(data: RigData, robot: Robot, readings: int) -> Calibration:
-    """The calibration of data whose lengths fit the robot."""
+    """Calibrate from data whose lengths are consistent with the robot."""
     data, notes = _usable(data)
     tube = fit_slide(data)
     middle = 0.5 * float(data.coil_time[0] + data.coil_time[-1])
@@ -91,7 +92,7 @@ def _calibrated(data: RigData, robot: Robot, readings: int) -> Calibration:
 
 
 def _prior_std(data: RigData) -> Array:
-    """Standard deviations (17,) before calibration; zero for parameters of a missing device."""
+    """Prior standard deviations (17,); zero for parameters of a missing device."""
     frame_and_mount = np.repeat([ANYWHERE, 1e-3, 0.03], [6, 2, 2])
     clock = np.array([LATEST / 2.0, 1e-4])  # a crystal's rate [inferred]
     slide = np.array([0.02, data.noise.backlash]) if data.slides else np.zeros(2)
@@ -100,7 +101,7 @@ def _prior_std(data: RigData) -> Array:
 
 
 def _choose_direction(model: CoilModel, expected: Rig, std: Array) -> tuple[Rig, Rig, float]:
-    """The likelier direction's rig, its rough start, and the log odds of that direction."""
+    """Rig and initial guess of the chosen direction, and the log odds of the likelier direction."""
     data = model.data
     lag = slide_lag(data) if data.slides else 0.0
     few = replace(model, data=data.thinned(_FIRST))
@@ -122,7 +123,7 @@ def _choose_direction(model: CoilModel, expected: Rig, std: Array) -> tuple[Rig,
 
 
 def _fit_direction(model: CoilModel, starts: dict[int, Rig], direction: int, std: Array) -> RigFit:
-    """The fit from a direction's start; where the lead turns negative, that of the other one."""
+    """Fit from a direction's initial guess; in the other direction if the lead becomes negative."""
     fit = refine(model, starts[direction], starts[direction], std, rounds=1)
     if fit.rig.lead > 0.0 or -direction not in starts:
         return fit
@@ -131,7 +132,7 @@ def _fit_direction(model: CoilModel, starts: dict[int, Rig], direction: int, std
 
 
 def _covered(model: CoilModel, rig: Rig) -> CoilModel:
-    """The model with the readings at times that motion capture and slide cover, by this rig."""
+    """Model with the readings at times, by this rig, at which motion capture and slide recorded."""
     data, (start, stop) = model.data, span(model.data)
     time = rig.true_time(data.coil_time)
     inside = (time >= start + _EDGE) & (time <= stop - _EDGE) & rig.covered(time, data)
@@ -139,7 +140,7 @@ def _covered(model: CoilModel, rig: Rig) -> CoilModel:
 
 
 def _averaged(model: CoilModel, count: int) -> CoilModel:
-    """The model with at most `count` blocks, of single readings where there are few."""
+    """Model with at most `count` averaged blocks, or single readings if blocks are too few."""
     size = model.data.block_size
     data = model.data.blocks(size, count)
     if data.coil_time.size < FEWEST * size:
@@ -157,9 +158,9 @@ def _enough(data: RigData) -> RigData:
 
 
 def _without_outliers(fit: RigFit, expected: Rig, std: Array) -> RigFit:
-    """The fit without readings that contradict all others, a fifth of them at most.
+    """Refit without outliers, of which at most a fifth of the readings are removed.
 
-    The worst are left out first, because they increase their neighbours' innovations.
+    The largest are removed first, because they increase their neighbours' innovations.
     """
     squares = np.sum(fit.innovations() ** 2, axis=1)
     count = squares.size
@@ -173,7 +174,7 @@ def _without_outliers(fit: RigFit, expected: Rig, std: Array) -> RigFit:
 
 
 def _doubts(data: RigData, fit: RigFit, odds: float, left_out: int) -> tuple[str, ...]:
-    """Sentences on outliers, convergence and the direction."""
+    """Warnings on outliers, misfit, convergence and the direction."""
     out = []
     if left_out:
         out.append(f"{left_out} coil readings that contradict all others were left out.")
@@ -200,7 +201,10 @@ def _doubts(data: RigData, fit: RigFit, odds: float, left_out: int) -> tuple[str
 
 
 def _usable(data: RigData) -> tuple[RigData, tuple[str, ...]]:
-    """The data from when all devices ran, within LATEST, and sentences on what is missing."""
+    """Data from the time when all devices ran, within LATEST, and warnings on missing devices.
+
+    Readings that repeat the one before exactly are removed.
+    """
     notes = []
     if not data.slides:
         notes.append(

@@ -1,7 +1,7 @@
 """The slide's encoder against a motion capture body on the sliding tube.
 
-The body moves along a line with the tube. It shows scale, play and delay of the encoder without the
-robot's shape, the tracker or the coil, and so judges what these say of the slide.
+The body moves along a line with the tube. It determines scale, play and delay of the encoder
+without the robot's shape, the tracker or the coil, and is an independent check of the calibration.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from glissando.geometry.se3 import Array
 from glissando.model.short_repr import ShortRepr
 from glissando.model.slide_track import side_of_play
 
-_RATE = 1e-4  # standard deviation of a crystal's rate before [inferred]
-_STEP = 0.025  # s between delays that are tried first
+_RATE = 1e-4  # prior standard deviation of a crystal's rate [inferred]
+_STEP = 0.025  # s between delays of the initial search
 _NUDGE = 1e-4  # s over which the carriage's speed is differenced
-_LEAST_PLAY = 1e-6  # m by which sides are told apart
+_LEAST_PLAY = 1e-6  # m: smallest play for which the side is computed
 _ROUNDS = 8
-_OUTLYING = 5.0  # standard deviations from the others at which a reading is left out
-_FEWEST, _NO_TRAVEL = 50, 5e-3  # readings; m of travel below which nothing shows
+_OUTLYING = 5.0  # robust standard deviations above which a residual is an outlier
+_FEWEST, _NO_TRAVEL = 50, 5e-3  # readings; m of travel below which the fit is impossible
 _DISAGREE = 4.0  # standard deviations
-_SLIPS = 3.0  # times the noise of motion capture at which encoder and body do not go together
+_SLIPS = 3.0  # RMS residual, over the noise of motion capture, above which a warning is given
 _SAME = {"lead scale": "lead", "slide's delay": "slide delay"}
 
 
 @dataclass(frozen=True)
 class SlideFit(ShortRepr):
-    """What a body on the sliding tube says of the slide.
+    """Constants of the slide, estimated from the motion of a body on the sliding tube.
 
     Attributes:
-        name: The body.
-        lead: Metres of the body for a metre of travel.
+        name: Name of the body.
+        lead: Metres of motion of the body per metre of travel.
         backlash: Play between encoder and body, m.
-        delay: Of the slide's stamps against motion capture's, at the rig's epoch, s.
+        delay: Delay of the slide's stamps relative to motion capture's, at the rig's epoch, s.
         cov: Covariance (3, 3) of lead, backlash and delay.
-        along: Root mean square of what is left along the body's line, m.
-        across: The same across it: what the tube bends and wobbles, m.
+        along: RMS residual along the body's line, m.
+        across: RMS distance from that line, by which the tube bends and wobbles, m.
     """
 
     name: str
@@ -66,16 +66,16 @@ class SlideFit(ShortRepr):
 
 
 def fit_slide(data: RigData) -> SlideFit | None:
-    """Scale, play and delay of the slide's encoder by the body on the tube; None without one.
+    """Estimate scale, play and delay of the slide's encoder; None without a body on the tube.
 
-    Gauss–Newton on d = c + lead · travel behind the play at the stamp of each time, where d is the
-    body's place along the line that it moves on.
+    Gauss–Newton on d = c + lead · (travel less play), interpolated at the slide's stamp of each
+    sample, where d is the body's coordinate along its line of motion.
 
     Args:
         data: The session.
 
     Raises:
-        RecordingError: The body was hardly seen, or the slide hardly moved.
+        RecordingError: The body has too few samples, or the slide hardly moved.
     """
     body = data.tube
     if body is None or not data.slides:
@@ -103,12 +103,12 @@ def fit_slide(data: RigData) -> SlideFit | None:
 
 
 def judgement(fit: SlideFit, rig: Rig, cov: Array, data: RigData) -> tuple[str, ...]:
-    """Sentences on where the body on the tube contradicts a calibration by the coil.
+    """Warnings on contradictions between the body on the tube and the calibration by the coil.
 
     Args:
-        fit: What the body says.
-        rig: What was calibrated.
-        cov: Its covariance (17, 17).
+        fit: Slide constants from the body.
+        rig: Calibrated rig.
+        cov: Covariance (17, 17) of the rig.
         data: The session.
     """
     out = []
@@ -140,7 +140,7 @@ def judgement(fit: SlideFit, rig: Rig, cov: Array, data: RigData) -> tuple[str, 
 
 
 def _line(place: Array) -> tuple[Array, Array]:
-    """A point and the direction of the line along which places (B, 3) lie."""
+    """Point (3,) and direction (3,) of the line fitted to positions (B, 3)."""
     middle = np.median(place, axis=0)
     return middle, np.linalg.svd(place - middle, full_matrices=False)[2][0]
 
@@ -164,7 +164,7 @@ def _predicted(data: RigData, time: Array, epoch: float, theta: Array) -> Array:
 
 
 def _start(data: RigData, time: Array, along: Array, epoch: float) -> Array:
-    """Offset, lead and delay of the best of many delays, without play: (5,)."""
+    """Initial parameters (5,): offset, lead and the best delay of a grid; play and rate zero."""
     best, out = np.inf, np.zeros(5)
     for delay in np.arange(-LATEST, LATEST + 1e-9, _STEP):
         travel = _followed(data, time + delay, 0.0)
@@ -178,7 +178,7 @@ def _start(data: RigData, time: Array, along: Array, epoch: float) -> Array:
 def _refined(
     data: RigData, time: Array, along: Array, epoch: float, theta: Array
 ) -> tuple[Array, Array, Array]:
-    """Parameters (5,), their covariance (5, 5), and which readings (B,) agree with the others."""
+    """Refined parameters (5,), their covariance (5, 5), and the mask (B,) of inliers."""
     sound = np.ones(time.size, dtype=bool)
     for _ in range(_ROUNDS):
         some = time[sound]

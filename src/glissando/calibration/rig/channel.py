@@ -1,4 +1,4 @@
-"""Where a coil is in a channel beside the backbone, by the shape that motion capture shows."""
+"""Arclength of a coil in a channel beside the backbone, given the shape from motion capture."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from glissando.model.tendons.travel import channel_lengths
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """Arclengths of travels along a channel, at any time.
+    """Map from distance along a channel to arclength, at any time.
 
     Attributes:
-        arclength: Places (F,), m.
-        time: Times (K,), s.
-        lengths: Lengths (K, F) of the channel up to each place at each time, m.
+        arclength: Arclengths (F,) of the table, m.
+        time: Times (K,) of the table, s.
+        lengths: Lengths (K, F) of the channel from the base to each arclength at each time, m.
     """
 
     arclength: Array
@@ -31,13 +31,16 @@ class ChannelMap:
 
     @staticmethod
     def of(channel: Channel, shape: Posterior) -> ChannelMap:
-        """The map of a shape whose strain runs straight between its nodes."""
+        """Map for a shape whose strain is interpolated linearly between its nodes."""
         nodes = shape.grid.arclength
         places, _, lengths = channel_lengths(channel, nodes, shape.state.strain)
         return ChannelMap(places, shape.grid.time, lengths)
 
     def place(self, travel: Array, time: Array) -> Array:
-        """Arclengths (M,) after travels (M,) at times (M,); beyond an end the coil goes on."""
+        """Arclengths (M,) at distances (M,) along the channel and times (M,).
+
+        Beyond an end of the channel, arclength continues with slope 1.
+        """
         nodes, out = self.time, np.empty_like(travel)
         fraction = np.interp(time, nodes, np.arange(nodes.size))
         for m, (k, x) in enumerate(zip(fraction.astype(int), fraction % 1.0, strict=True)):
@@ -50,13 +53,15 @@ class ChannelMap:
 def by_strain_along(
     shape: Posterior, readings: CoilReadings, by_state: Array, rise: Array
 ) -> Array:
-    """Derivatives (M, r, N·dof) of residuals by the shape at their times, by where the coil is.
+    """Jacobians (M, r, N·dof) of residuals through the coil's arclength, by the nodes at each time.
+
+    The strain of all nodes determines the length of the channel, and thus the coil's arclength.
 
     Args:
-        shape: The shape.
-        readings: The coil's readings (M,) at travels along their channel.
-        by_state: Derivatives (M, r, 18) of the residuals by the states.
-        rise: Derivatives (M, 18) of the states by the arclength.
+        shape: Posterior of the shape.
+        readings: The coil's readings (M,), with distances along the channel as arclengths.
+        by_state: Jacobians (M, r, 18) of the residuals with respect to the states.
+        rise: Derivatives (M, 18) of the states by arclength.
 
     Source: (M8).
     """

@@ -1,4 +1,4 @@
-"""A rough start: the tracker's delay by search, its frame in closed form."""
+"""Initial guess of a rig: the tracker's delay by search, its frame in closed form."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 
 FEWEST = 10
-"""Readings that a calibration needs."""
+"""Minimum number of readings for a calibration."""
 _STEP = 0.1  # s between delays that are tried
-_POINT, _AXIS = 1e-3, 1e-2  # m and rad: how roughly readings should agree
+_POINT, _AXIS = 1e-3, 1e-2  # m and rad: scales of residuals
 _SCALE = np.repeat([_POINT, _AXIS], [3, ROWS - 3])
-_OUTLIER = 8.0  # times the median
+_OUTLIER = 8.0  # times the median distance
 
 
 def registration(expected: Array, measured: Array) -> Array:
-    """The frame that best takes measured poses to expected ones, whatever their roll.
+    """Least-squares registration of measured to expected poses, independent of their roll.
 
-    Points and axes together, each by its weight: the closed form of Wahba's problem.
+    Positions and z axes are weighted jointly; the rotation solves Wahba's problem in closed form.
 
     Args:
         expected: Poses in the world (M, 4, 4).
         measured: Poses in the tracker's frame (M, 4, 4).
 
     Returns:
-        T_wt (4, 4).
+        Pose T_wt (4, 4) of the tracker in the world.
     """
     centres = expected[:, :3, 3].mean(axis=0), measured[:, :3, 3].mean(axis=0)
     points = (expected[:, :3, 3] - centres[0]).T @ (measured[:, :3, 3] - centres[1])
@@ -42,14 +42,14 @@ def registration(expected: Array, measured: Array) -> Array:
 
 
 def rough_start(model: CoilModel, expected: Rig, lag: float) -> Rig:
-    """The rig from which refinement starts, in the expected direction.
+    """Initial guess of the rig, in the expected rig's direction.
 
-    Every delay of the tracker within LATEST is tried with the frame that fits it best; readings
-    that disagree with the result are left out, and the search is repeated.
+    Each delay of the tracker within LATEST is tried with its best-fitting frame. Outliers of the
+    result are removed, and the search is repeated.
 
     Args:
         model: The coil's readings against the shape.
-        expected: The rig before calibration.
+        expected: Prior mean of the rig.
         lag: Delay of the slide's stamps relative to the tracker's, s.
     """
     best = _search(model, expected, lag)
@@ -60,19 +60,19 @@ def rough_start(model: CoilModel, expected: Rig, lag: float) -> Rig:
 
 
 def distances(model: CoilModel, rig: Rig) -> Array:
-    """Distance (M,) of readings from their prediction, about 1 where they agree roughly."""
+    """Norms (M,) of the coarsely scaled residuals of the readings."""
     residual = model.residual(rig).reshape(-1, ROWS) / _SCALE
     return np.asarray(np.linalg.norm(residual, axis=1))
 
 
 def inliers(model: CoilModel, rig: Rig) -> NDArray[np.intp]:
-    """Indices of the readings that are not much farther from their prediction than most."""
+    """Indices of the readings whose distance is below `_OUTLIER` times the median."""
     distance = distances(model, rig)
     return np.flatnonzero(distance <= _OUTLIER * max(float(np.median(distance)), 0.1))
 
 
 def _search(model: CoilModel, expected: Rig, lag: float) -> Rig:
-    """The best rig over delays of the tracker; the states of all delays are computed at once."""
+    """Best rig over a grid of tracker delays; the states of all delays are computed in a batch."""
     delays = np.arange(-LATEST, LATEST + 1e-9, _STEP)
     rigs = [replace(expected, tracker_clock=np.array([delay, 0.0])) for delay in delays]
     if model.data.slides:
@@ -86,7 +86,7 @@ def _search(model: CoilModel, expected: Rig, lag: float) -> Rig:
         seen = at.pose @ model.readings(rig).mount
         rig = replace(rig, T_wt=registration(seen, model.data.coil))
         residual = model.readings(rig).residual(at) / _SCALE
-        cost = float(np.mean(np.minimum(residual**2, 25.0))) + 1e-6 * delay**2  # nearest of equals
+        cost = float(np.mean(np.minimum(residual**2, 25.0))) + 1e-6 * delay**2  # breaks ties
         if cost < least:
             best, least = rig, cost
     return best

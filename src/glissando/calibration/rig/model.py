@@ -1,7 +1,7 @@
 """Prediction of a coil's readings from a rig's constants, and the covariance of their errors.
 
 The robot's shape is estimated from motion capture alone. Errors of that shape, the tracker's bias
-and the clearance of the tube correlate readings, so reading a place again adds little information.
+and the tube's clearance correlate readings, so repeated readings of a place add little information.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from glissando.model.tendons.channel import Channel
 from glissando.solver.block_tridiagonal import Cholesky
 from glissando.solver.measurement_factors import states_at
 
-_NUDGE = 1e-6  # of every parameter, in SI units
-_IN_SPACE = PARAMETERS.index("zero")  # parameters before this one move poses, the others points
+_NUDGE = 1e-6  # step of finite differences of every parameter, in SI units
+_IN_SPACE = PARAMETERS.index("zero")  # those before change poses; others, arclengths and times
 ROWS = CoilReadings.rows
 
 
@@ -33,11 +33,12 @@ class CoilModel:
     """A coil's readings against the shape of the robot.
 
     Attributes:
-        data: The session, coil readings in the order of time.
+        data: The session, with coil readings in the order of time.
         shape: Posterior of the robot's shape given motion capture.
-        chol: Factor of that posterior's information.
-        block_size: Odd number of consecutive readings that count as one by their mean, because all
-            errors but the white ones are the same.
+        chol: Cholesky factor of the posterior's information.
+        block_size: Odd number of consecutive readings that are averaged into one, because they
+            share all errors but white noise.
+        maps: Cache of the maps from distance along a channel to arclength.
     """
 
     data: RigData
@@ -47,12 +48,12 @@ class CoilModel:
     maps: dict[Channel, ChannelMap] = field(default_factory=dict, repr=False)
 
     def at(self, blocks: NDArray[np.intp]) -> CoilModel:
-        """The model with some of the blocks."""
+        """Model with the blocks at some indices."""
         rows = blocks[:, None] * self.block_size + np.arange(self.block_size)
         return replace(self, data=self.data.at(rows.ravel()))
 
     def points(self, rig: Rig) -> tuple[Array, Array]:
-        """Arclength and time (M,) of the readings, which may be beyond the robot's ends."""
+        """Arclengths and times (M,) of the readings, which may be beyond the robot's ends."""
         time = rig.true_time(self.data.coil_time)
         travel, channel = rig.arclength(time, self.data), rig.channel(self.data)
         if channel is None:
@@ -62,14 +63,14 @@ class CoilModel:
         return self.maps[channel].place(travel, time), time
 
     def _inside(self, arclength: Array, time: Array) -> tuple[Array, Array]:
-        """The nearest points (M,) of the shape's grid."""
+        """Arclengths and times (M,), clipped to the shape's grid."""
         grid = self.shape.grid
         return np.clip(arclength, *grid.arclength[[0, -1]]), np.clip(time, *grid.time[[0, -1]])
 
     def states(self, arclength: Array, time: Array) -> State:
-        """The robot's states (M,), which beyond its ends continue with the strain there.
+        """States (M,) of the robot, extrapolated beyond its ends with the strain of the end.
 
-        Without that continuation all places beyond an end would give the same readings.
+        Without extrapolation, residuals beyond an end would not depend on arclength.
         """
         shape = self.shape
         inside, time = self._inside(arclength, time)
@@ -78,7 +79,7 @@ class CoilModel:
         return replace(state, pose=state.pose @ se3.exp(beyond))
 
     def readings(self, rig: Rig) -> CoilReadings:
-        """The coil's readings in the world, as this rig places them."""
+        """The coil's readings in the world, at the arclengths and times of this rig."""
         arclength, time = self.points(rig)
         var = np.repeat(self.data.noise.coil**2, [3, 2])
         values = rig.T_wt @ self.data.coil
@@ -91,7 +92,7 @@ class CoilModel:
         )
 
     def expected(self, rig: Rig) -> tuple[CoilReadings, State]:
-        """The readings with the rolls of the robot where they are, and the robot there (M,)."""
+        """Readings rolled to match the predicted poses, and the robot's states (M,) at them."""
         readings = self.readings(rig)
         states = self.states(readings.arclength, readings.time)
         coil = replace(states, pose=states.pose @ readings.mount)
@@ -100,20 +101,20 @@ class CoilModel:
         return replace(readings, values=readings.values @ se3.exp(roll)), states
 
     def residual(self, rig: Rig) -> Array:
-        """Expected minus measured (B·5,) in the coil's frame, roll left out, by block."""
+        """Predicted minus measured poses (B·5,) in the coil's frame without roll, block means."""
         readings, states = self.expected(rig)
         return self._block_means(readings.residual(states))
 
     def _block_means(self, rows: Array) -> Array:
-        """Means (B·5,) over each block of rows (M, 5)."""
+        """Means (B·5,) of rows (M, 5) over each block."""
         return rows.reshape(-1, self.block_size, ROWS).mean(axis=1).ravel()
 
     def jacobian(self, rig: Rig) -> Array:
-        """Derivative (B·5, 17) of the residual by the rig's parameters, for noise-free readings.
+        """Jacobian (B·5, 17) of the residual with respect to the rig, at noise-free readings.
 
-        With their noise, readings would seem to show parameters that they do not. Derivatives of
-        the shape by arclength and time are computed once and carried on by the chain rule; all are
-        central differences.
+        At noisy readings, unobservable parameters would appear observable. Derivatives of the shape
+        by arclength and time are computed once and enter by the chain rule; all are central
+        differences.
         """
         arclength, time = self.points(rig)
         steps = _NUDGE * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])[:, :, None]
@@ -142,7 +143,7 @@ class CoilModel:
         return np.stack(columns, axis=-1)
 
     def covariance(self, rig: Rig) -> Array:
-        """Covariance (B·5, B·5) of the residual at the true rig, by each block's middle reading."""
+        """Covariance (B·5, B·5) of the residual at the true rig, at each block's middle reading."""
         if self.block_size > 1:
             rows = np.arange(self.block_size // 2, self.data.coil_time.size, self.block_size)
             noise = replace(self.data.noise, coil=self.data.noise.coil / np.sqrt(self.block_size))
@@ -167,7 +168,7 @@ class CoilModel:
         return out + blocks.transpose(0, 2, 1, 3).reshape(size, size)
 
     def _by_strain(self, rig: Rig, by_state: Array) -> Array | None:
-        """What strain along the robot adds to derivatives, as the place in a channel follows it."""
+        """Jacobians (M, r, N·dof) through the coil's arclength in a channel; None without one."""
         channel = rig.channel(self.data)
         if channel is None:
             return None
@@ -189,9 +190,9 @@ def _field_correlation(place: Array, length: float) -> Array:
 
 
 def _clearance_covariance(arclength: Array, clearance: float, length: float) -> Array:
-    """Covariance (M, M, 5, 5) of a tube that lies anywhere in another one.
+    """Covariance (M, M, 5, 5) of the offset and tilt of a tube within another one.
 
-    Offsets x and y are smooth random functions of arclength, tilts are (−y′, x′).
+    Offsets x and y are smooth random functions of arclength; tilts are (−y′, x′).
     """
     apart = arclength[:, None] - arclength[None]
     offset = 0.5 * clearance**2 * np.exp(-0.5 * (apart / length) ** 2)

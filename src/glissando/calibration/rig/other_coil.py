@@ -1,4 +1,4 @@
-"""Coils of a session beside the one that is calibrated: they come into the world with it."""
+"""Coils of a session that are not calibrated, but transformed into the world by the result."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from glissando.model.tendons.channel import Channel
 
 @dataclass(frozen=True)
 class OtherCoil:
-    """A coil of the same tracker.
+    """A coil of the same tracker that is not calibrated.
 
     Attributes:
-        name: Its name.
+        name: Name of the coil.
         time: Stamps of the tracker (M,), s.
         poses: Poses of the coil in the tracker's frame, T_tc (M, 4, 4).
-        arclength: Its stated arclength at travel 0, m.
-        travel: Travel of its own stage at the stamps (M,), m, NaN while that was not read, zeros
-            of a fixed coil; None of one that slides with the calibrated coil.
-        channel: The channel beside the backbone that it slides in, if there is one.
+        arclength: Stated arclength of the coil at travel 0, m.
+        travel: Travel of the coil's own stage at the stamps (M,), m; NaN where the stage was not
+            recorded, zeros for a fixed coil, None if it slides with the calibrated coil.
+        channel: Channel beside the backbone in which the coil slides, or None.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Lengths of a rig against the robot's: those in millimetres do not fit it."""
+"""Plausibility check of a rig's lengths against the robot's, to detect wrong units."""
 
 from __future__ import annotations
 
@@ -12,24 +12,25 @@ from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
 from glissando.model.tendons.channel import ends_of
 
-_SPREAD = 0.1  # of the robot's length: noise, play and doubt about an arclength are less
-_SLIDDEN = 1.5  # of the robot's length: what a slide travels at most
-_CORRELATED = 10.0  # of the robot's length: how far errors are correlated at most
-_MOUNT = 1.0  # m from the backbone at most
+_SPREAD = 0.1  # of the robot's length: largest noise, play and standard deviation of an arclength
+_SLIDDEN = 1.5  # of the robot's length: largest travel of a slide
+_CORRELATED = 10.0  # of the robot's length: largest correlation length of errors
+_MOUNT = 1.0  # m: largest distance of a mount from the backbone
 _ROUNDING = 1e-6  # m
-_APART = 3.0  # of the robot's length: how far bodies are from each other, and a coil goes, at most
-_NEAR = 0.02  # of what lies between them: only in a closed loop bodies are nearer to each other
+_APART = 3.0  # of the robot's length: largest distance of bodies, and of a coil from its median
+_NEAR = 0.02  # of the arclength between bodies: smallest distance, except in a closed loop
 
 
 def require_metres(data: RigData, robot: Robot) -> None:
-    """Check that what a session states of lengths can be of this robot.
+    """Check that a session's lengths are plausible in metres for this robot.
 
     Args:
         data: The session.
         robot: The robot.
 
     Raises:
-        RecordingError: A length is too large, as one in millimetres is, or is off the robot.
+        RecordingError: A length is too large, as in millimetres, an arclength is off the robot, or
+            positions hardly differ, as those in metres that were read as millimetres.
     """
     for what, value, most in _limits(data, robot.length):
         if value > most:
@@ -51,11 +52,11 @@ def require_metres(data: RigData, robot: Robot) -> None:
 
 
 def _require_near(data: RigData, between: float) -> None:
-    """Raise where positions are in metres, read as millimetres: they hardly differ.
+    """Raise if positions hardly differ, as those in metres that were read as millimetres.
 
     Args:
         data: The session.
-        between: Arclength, m, from which on places of bodies are not taken for one.
+        between: Least difference of arclength (m) of the bodies and positions that are compared.
     """
     pairs = [
         (abs(one.arclength - other.arclength), _apart(one, other))
@@ -82,7 +83,7 @@ def _apart(one: Body, other: Body) -> float:
 
 
 def _middle(poses: Array) -> Array:
-    """The median position (3,) of poses (M, 4, 4)."""
+    """Median position (3,) of poses (M, 4, 4)."""
     return np.asarray(np.median(poses[:, :3, 3], axis=0))
 
 
@@ -92,7 +93,7 @@ def _strays(poses: Array) -> Array:
 
 
 def _limits(data: RigData, length: float) -> list[tuple[str, float, float]]:
-    """What each length of a session is of, its value and the largest that can be, m."""
+    """Description, value and upper limit of each length of a session, m."""
     noise = data.noise
     spreads = {
         "The standard deviation of the coil's arclength": data.coil_arclength_std,

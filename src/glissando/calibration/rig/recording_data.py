@@ -1,4 +1,4 @@
-"""Rig data from a recording, and the recording that a calibration makes of it."""
+"""Conversion of a recording into rig data, and application of the calibration to it."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from glissando.io.recording import Recording
 from glissando.model.robot import Robot
 
 _SLIDES = 1e-3  # m: a sensor whose arclength varies by less is fixed
-_ARCLENGTH_STD = 5e-3  # m: how well its arclength is known
+_ARCLENGTH_STD = 5e-3  # m: prior standard deviation of its arclength
 
 
 def recording_data(recording: Recording, coil: str | None = None) -> RigData:
-    """The data of a recording with a tracker and motion capture, each by a clock of its own.
+    """Rig data of a recording with a tracker and motion capture, each with its own clock.
 
-    The arclengths of the coil's rows are the slide's travel; motion capture is the truth.
+    The arclengths of the coil's rows are the slide's travel; truth streams are motion capture.
 
     Args:
         recording: The recording.
-        coil: Name of the coil or pose stream to calibrate; by default the only one that is in an
-            unknown frame, and of several the only one that slides.
+        coil: Name of the coil or pose stream to calibrate; by default the only one, else the only
+            one in an unknown frame, else the only one of these that slides.
 
     Raises:
         RecordingError: There is no such stream, there are several, or truth has no poses.
@@ -59,16 +59,16 @@ def recording_data(recording: Recording, coil: str | None = None) -> RigData:
 def calibrated(
     recording: Recording, calibration: Calibration, data: RigData, robot: Robot
 ) -> Recording:
-    """The recording with what was found: times, arclengths and mount of the coil, in the world.
+    """Apply a calibration to a recording: coil in the world, calibrated times, arclengths, mount.
 
-    Poses come to be readings of a coil, as noisy as they were, whose roll is not read. Other
-    streams in the coil's frame share its clock and come into the world with it. What a tracker that
-    is frozen repeats is no reading.
+    A pose stream becomes a coil stream with the same noise and without roll. Other streams in the
+    coil's frame share its clock and are transformed into the world with it. Repeated poses of a
+    frozen tracker are removed when the recording is read.
 
     Args:
         recording: The recording.
-        calibration: What was found from it.
-        data: What `recording_data` gave.
+        calibration: Calibration from this recording.
+        data: Rig data from `recording_data`.
         robot: The robot, whose ends bound the coil's arclength.
     """
     rig, own = calibration.rig, recording.streams[data.coil_name]
@@ -87,7 +87,7 @@ def calibrated(
 
 
 def _coil(recording: Recording, name: str | None) -> Stream:
-    """The stream to calibrate."""
+    """Stream to calibrate."""
     coils = [s for s in recording.streams.values() if s.rows.kind in ("coil", "pose")]
     coils = [s for s in coils if not s.truth]
     known = ", ".join(s.name for s in coils)
@@ -107,7 +107,7 @@ def _coil(recording: Recording, name: str | None) -> Stream:
 
 
 def _fixed_pose(stream: Stream) -> bool:
-    """Whether a stream is of poses at one arclength."""
+    """Whether a stream holds poses at one fixed arclength."""
     rows = stream.rows
     return rows.kind == "pose" and rows.time.size > 0 and float(np.ptp(rows.arclength)) < 1e-6
 
@@ -120,7 +120,7 @@ def _body(stream: Stream) -> Body:
 
 
 def _noise(recording: Recording, bodies: list[str]) -> Noise:
-    """Noise as the truth states it, presets where it does not."""
+    """Preset noise, with motion capture's as stated by the truth streams, if any."""
     stated = [s for b in bodies if (s := recording.streams[b].std) is not None and s.size == 6]
     if not stated:
         return Noise()

@@ -1,4 +1,4 @@
-"""Refinement of a rig: Gauss–Newton with correlated errors, and the covariance of the result."""
+"""Refinement of a rig by Gauss–Newton with correlated errors, with the posterior covariance."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from glissando.calibration.rig.rig import PARAMETERS, Rig
 from glissando.geometry.se3 import Array
 
 _ITERATIONS = 30
-_ROUNDS = 3  # times the errors' covariance is computed again
-_CONVERGED = 0.01  # standard deviations of a step after which there is no other
-_SETTLED = 0.1  # standard deviations of a change after which the covariance is kept
+_ROUNDS = 3  # evaluations of the errors' covariance
+_CONVERGED = 0.01  # standard deviations: a shorter step ends the iteration
+_SETTLED = 0.1  # standard deviations: after a smaller change the covariance is not recomputed
 _HALVINGS = 8
 
 
 @dataclass(frozen=True)
 class RigFit:
-    """The most likely rig for one direction.
+    """Maximum a posteriori rig for one direction.
 
     Attributes:
         rig: The rig.
-        cov: Its covariance (17, 17).
+        cov: Covariance (17, 17) of the rig's parameters.
         log_evidence: Laplace log evidence of this direction.
-        model: The readings it was fitted to.
-        chol: Cholesky factor of the covariance of their errors.
-        converged: Whether the last step was short enough.
+        model: The readings that were fitted.
+        chol: Cholesky factor of the covariance of the readings' errors.
+        converged: Whether the iteration converged.
     """
 
     rig: Rig
@@ -40,7 +40,7 @@ class RigFit:
     converged: bool
 
     def innovations(self) -> Array:
-        """Whitened distance (B, 5) of each block from its prediction by all others."""
+        """Whitened innovations (B, 5) of each block given all other blocks."""
         inverse = cho_solve((self.chol, True), np.eye(len(self.chol)))
         weighted = inverse @ self.model.residual(self.rig)
         out = []
@@ -53,14 +53,14 @@ class RigFit:
 def refine(
     model: CoilModel, rig: Rig, expected: Rig, std: Array, *, rounds: int = _ROUNDS
 ) -> RigFit:
-    """The most likely rig given the coil's readings and what was expected.
+    """Maximum a posteriori rig given the coil's readings and the prior.
 
     Args:
         model: The coil's readings against the shape.
-        rig: Where the iteration starts.
-        expected: Mean of the prior belief.
-        std: Standard deviations (17,) of the prior belief; parameters with zero stay as expected.
-        rounds: How often the covariance of the readings' errors is computed, at most.
+        rig: Initial guess.
+        expected: Prior mean.
+        std: Prior standard deviations (17,); parameters with zero are fixed at the prior mean.
+        rounds: Maximum number of evaluations of the covariance of the readings' errors.
     """
     problem = _Problem(model, expected, np.flatnonzero(std > 0.0), std[std > 0.0] ** -2.0)
     for _ in range(rounds):
@@ -80,7 +80,7 @@ def refine(
 
 @dataclass(frozen=True)
 class _Problem:
-    """Least squares over the `free` parameters, whose prior has this `information` each."""
+    """Least squares over the parameters `free`, with the diagonal prior `information`."""
 
     model: CoilModel
     expected: Rig
@@ -88,7 +88,7 @@ class _Problem:
     information: Array
 
     def minimise(self, rig: Rig, chol: Array) -> tuple[Rig, float, Array, bool]:
-        """The rig of least cost, that cost, the free parameters' covariance, and convergence."""
+        """Rig of least cost, its cost, covariance of the free parameters, and convergence."""
         converged = False
         for _ in range(_ITERATIONS):
             columns = [self.model.residual(rig), self.model.jacobian(rig)[:, self.free]]

@@ -1,4 +1,4 @@
-"""The result of a calibration: numbers, a TOML file, and its application to a session."""
+"""Result of a calibration, its TOML file, and its application to a session."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from glissando.model.short_repr import ShortRepr
 from glissando.model.table import Table, pose_table
 from glissando.model.tendons.channel import Channel, ends_of
 
-_OF_PLACE = "frame", "mount", "tracker"  # constants that motion capture shows
-_OFF = 1e-3  # m beyond the robot's ends, from which on a sliding coil is not on it
+_OF_PLACE = "frame", "mount", "tracker"  # constants that are observable with motion capture only
+_OFF = 1e-3  # m beyond the robot's ends at which a sliding coil is off the robot
 _UNITS = {"delay": ("ms", 1e3), "rate": ("ppm", 1e6), "lead": ("1", 1.0)}
 
 
@@ -42,12 +42,12 @@ class Calibration(ShortRepr):
             [m, rad], mount x, y [m] and tilts [rad], zero [m], lead, backlash [m], and delay [s]
             and rate of both clocks.
         coil_name: Name of the coil.
-        log_odds: Log odds of the direction; infinite where only one is possible.
+        log_odds: Log odds of the direction; infinite if only one is possible.
         fits: Residuals of each stream.
-        warnings: Sentences on what the session does not show.
-        tube: What a body on the sliding tube says of the slide, if there was one.
-        channel: The channel beside the backbone that was found, if the coil slides in one; the
-            mount's x and y are then those of the channel less the stated one's.
+        warnings: Sentences on constants that the session leaves uncertain, and on misfits.
+        tube: Slide constants estimated from the body on the sliding tube, or None without one.
+        channel: Estimated channel beside the backbone, or None if the coil slides in none; the
+            mount's x and y are then the channel's offset from the stated one.
     """
 
     rig: Rig
@@ -66,13 +66,14 @@ class Calibration(ShortRepr):
 
     @property
     def placed(self) -> bool:
-        """Whether the tracker's place was found, which takes motion capture."""
+        """Whether the tracker's frame was estimated, which requires motion capture."""
         return bool(np.any(self.std[:6] < ANYWHERE))
 
     def values(self) -> dict[str, tuple[float, float]]:
         """Value and standard deviation by parameter; the frame as position and rotation vector.
 
-        Both of the frame are in the world, where `std` is of errors on the tracker's own axes.
+        Standard deviations of the frame are of these world coordinates here; those in `std` are of
+        a right twist, in the tracker's axes.
         """
         rig, std = self.rig, self.std
         turn = rig.T_wt[:3, :3]
@@ -88,7 +89,7 @@ class Calibration(ShortRepr):
         }
 
     def displayed(self) -> list[tuple[str, float, float, str]]:
-        """Name, value, standard deviation and unit of what was found, in mm, mrad, ms or ppm."""
+        """Name, value, standard deviation and unit (mm, mrad, ms, ppm) of estimated constants."""
         out = []
         for name, (value, std) in self.values().items():
             if std > 0.0 and (self.placed or not name.startswith(_OF_PLACE)):
@@ -102,7 +103,7 @@ class Calibration(ShortRepr):
         return out
 
     def _channel_tables(self) -> dict[str, Any]:
-        """The channel that was found, and how far (x, y) it is from the stated one, m."""
+        """TOML tables of the estimated channel and its offset (x, y) from the stated one, m."""
         if self.channel is None:
             return {}
         moved = self.rig.mount[:2].tolist()
@@ -118,14 +119,14 @@ class Calibration(ShortRepr):
 
     @property
     def _mount(self) -> Array:
-        """Mount (4, 4) of the coil in the cross-section, or in the channel that was found."""
+        """Estimated mount (4, 4) of the coil in the cross-section, or in the estimated channel."""
         return self.rig.coil_mount if self.channel is None else self.rig.tilt
 
     def sensor_parameters(self) -> tuple[SensorParameter, ...]:
         """Frame, mount and delay of the coil as known sensor parameters for a robot file.
 
-        They are for recordings whose coil is in the tracker's frame and time but has arclengths.
-        There are none where the tracker's place was not found.
+        For recordings that have the coil's poses in the tracker's frame and time, with arclengths.
+        Empty if the tracker's frame was not estimated.
         """
         if not self.placed:
             return ()
@@ -141,7 +142,7 @@ class Calibration(ShortRepr):
         )
 
     def save(self, path: Path) -> None:
-        """Write the TOML file that `load_calibration` reads, laid out as docs/calibration.md."""
+        """Write a TOML file for `load_calibration`; docs/calibration.md describes its keys."""
         rig, std = self.rig, self.std
         document: dict[str, Any] = {
             "format": stated_format("calibration"),
@@ -189,7 +190,7 @@ def load_calibration(path: str | Path) -> Calibration:
         path: File that `Calibration.save` wrote.
 
     Raises:
-        GlissandoError: If the file cannot be read, with the key that is wrong.
+        GlissandoError: If the file cannot be read; the message names the key that is wrong.
     """
     table = read_toml(Path(path), GlissandoError)
     require_readable(table.text("format"), "calibration", path)
@@ -239,15 +240,16 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
         robot: The robot, whose ends bound the coil's arclength.
 
     Returns:
-        A recording of the coil at true times and arclengths with its mount; what it repeats of a
-        tracker that is frozen is left out when it is read. Readings while the
-        slide was not recorded, or a millimetre or more off the robot, are left out; a fixed coil
-        that is found ahead of the robot's end is mounted so far ahead of it. The tracker's
-        other coils come along, at true times and where they are stated to be. Where the
-        calibration did not find the tracker's frame, it is the stated one, else unknown.
+        A recording of the coil at true times and arclengths, with its mount. Repeated poses of a
+        frozen tracker are kept here and removed when the recording is read. Readings at which the
+        slide was not recorded, or a sliding coil is a millimetre or more off the robot, are
+        removed. A fixed coil beyond the robot's end is placed at the end, and its mount extended by
+        the distance. The tracker's other coils are included at true times and their stated
+        arclengths. If the calibration did not estimate the tracker's frame, the stated frame is
+        used; without one, the frame is unknown.
 
     Raises:
-        RecordingError: If no coil reading is left.
+        RecordingError: If no coil reading remains.
     """
     rig, length = _in_frame(calibration, data), None if robot is None else robot.length
     name, channel = data.coil_name, rig.channel(data)
@@ -268,7 +270,7 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
 def _rows_of_coil(rig: Rig, data: RigData, length: float | None) -> tuple[Rows, Array]:
     """Rows of the calibrated coil that are on the robot, and its mount (4, 4).
 
-    What a fixed coil is found beyond the robot's end is how far its mount puts it ahead of there.
+    The distance of a fixed coil beyond the robot's end is added to the z of its mount.
     """
     time, mount = rig.true_time(data.coil_time), rig.whole_mount(data)
     arclength, inside = rig.arclength(time, data), rig.covered(time, data)
@@ -286,7 +288,7 @@ def _rows_of_coil(rig: Rig, data: RigData, length: float | None) -> tuple[Rows, 
 
 
 def _unplaced(recording: Recording) -> Recording:
-    """The recording with the coils in the tracker's frame, whose place is not known."""
+    """Recording with the coils in the tracker's frame, which is marked as unknown."""
     streams = {
         name: stream if stream.truth else replace(stream, frame="tracker")
         for name, stream in recording.streams.items()
@@ -295,16 +297,16 @@ def _unplaced(recording: Recording) -> Recording:
 
 
 def _in_frame(calibration: Calibration, data: RigData) -> Rig:
-    """The rig with the frame that was found, else the stated one, else the tracker's own."""
+    """Rig with the estimated frame, else the stated one, else the rig of the calibration."""
     if calibration.placed or data.frame is None:
         return calibration.rig
     return replace(calibration.rig, T_wt=data.frame)
 
 
 def _rows_of(other: OtherCoil, rig: Rig, data: RigData, length: float | None) -> Rows:
-    """Rows of another coil in the world at true times, where it is stated, on the robot."""
+    """Rows of an uncalibrated coil in the world, at true times and stated arclengths."""
     time = rig.true_time(other.time)
-    if other.travel is None:  # it slides as the calibrated one does, from a place of its own
+    if other.travel is None:  # slides with the calibrated coil, from its own arclength
         arclength = replace(rig, zero=other.arclength).arclength(time, data)
         inside = rig.covered(time, data)
     else:

@@ -1,7 +1,8 @@
-"""A rig: a session's data, each device with a clock of its own, and the constants to find.
+"""Data of a calibration session, and the constants of the rig that calibration estimates.
 
-Motion capture defines time and the world frame. A device whose stamps are late by
-delay + rate · (stamp − epoch) measures at the time stamp − delay − rate · (stamp − epoch).
+Motion capture defines time and the world frame. Tracker and slide have their own clocks: a device
+whose stamps are late by delay + rate · (stamp − epoch) measures at the time
+stamp − delay − rate · (stamp − epoch).
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ PARAMETERS = (
     *("zero", "lead", "backlash"),
     *("tracker delay", "tracker rate", "slide delay", "slide rate"),
 )
-"""The constants in the order of every covariance: m, rad, s, and 1 for lead and rates."""
+"""Names of the constants in the order of every covariance; m, rad, s, and 1 for lead and rates."""
 MOUNT = np.array([0, 1, 3, 4])
-"""Entries of the mount's twist that a coil shows: roll is not seen, z is the slide's zero."""
+"""Entries of the mount's twist that are estimated: roll is unobservable, z is in the zero."""
 ANYWHERE = 1.0
-"""Standard deviation of the tracker's frame before calibration, m and rad."""
+"""Prior standard deviation of the tracker's frame, m and rad."""
 _PLAY = 1e-4  # m
 _WIDEST = 0.05  # m: radius of a channel
-_BLOCK = 0.1  # s in which all errors but the white ones stay the same
+_BLOCK = 0.1  # s in which all errors but white noise are taken as constant
 
 
 def _vector(*values: float) -> Array:
@@ -43,14 +44,14 @@ def _vector(*values: float) -> Array:
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of the devices, as the standard deviation of each component.
+    """Standard deviations of the devices' errors, per component.
 
     Attributes:
         mocap: White noise of motion capture [m, rad].
         coil: White noise of the coil [m, rad].
-        bias: Distortion of the tracker's field [m, rad], and its correlation length [m] in space.
-        play: Radial clearance of the coil's tube [m], and its correlation length [m] along the
-            robot.
+        bias: Distortion of the tracker's field [m, rad], and its correlation length in space [m].
+        play: Radial clearance of the coil's tube [m], and the correlation length along the robot
+            [m] of the coil's offset in it.
         backlash: Play between carriage and coil, m.
     """
 
@@ -66,10 +67,10 @@ class Body:
     """A motion capture body on the robot.
 
     Attributes:
-        arclength: Where it sits, m.
-        mount: T_bm (4, 4).
-        time: Times (B,) at which it was seen, s.
-        poses: T_wm (B, 4, 4).
+        arclength: Arclength of the cross-section that carries the body, m.
+        mount: Pose T_bm (4, 4) of the body in that cross-section.
+        time: Times (B,) of the samples, s.
+        poses: Poses T_wm (B, 4, 4) of the body in the world.
     """
 
     arclength: float
@@ -83,9 +84,9 @@ class TubeBody:
     """A motion capture body on the sliding tube.
 
     Attributes:
-        name: Its name.
-        time: Times (B,) at which it was seen, s.
-        poses: T_wm (B, 4, 4).
+        name: Name of the body.
+        time: Times (B,) of the samples, s.
+        poses: Poses T_wm (B, 4, 4) of the body in the world.
     """
 
     name: str
@@ -95,26 +96,26 @@ class TubeBody:
 
 @dataclass(frozen=True)
 class RigData(ShortRepr):
-    """Data of a session; the arrays of a missing device are empty.
+    """Data of a calibration session; the arrays of a missing device are empty.
 
     Attributes:
         coil_name: Name of the coil.
         coil_time: Stamps of the tracker (M,), s.
         coil: Poses of the coil in the tracker's frame, T_tc (M, 4, 4).
         slide_time: Stamps of the slide (L,), s.
-        travel: Travel by its encoder (L,), m.
-        bodies: Motion capture bodies by name.
+        travel: Travel of the slide by its encoder (L,), m.
+        bodies: Motion capture bodies on the robot, by name.
         coil_arclength: Expected arclength of the coil at travel 0, m.
-        coil_arclength_std: Standard deviation of that, m.
-        direction: Sign of arclength with travel, ±1, or 0 when it is not known.
+        coil_arclength_std: Standard deviation of `coil_arclength`, m.
+        direction: Sign of d(arclength)/d(travel), ±1, or 0 if it is unknown.
         noise: Noise of the devices.
-        robot: Name or file of the robot, if it is known.
-        tube: The motion capture body on the sliding tube, if there is one.
-        channel: The channel beside the backbone that the coil slides in, if there is one, along
-            which its arclength is then measured.
+        robot: Name or file of the robot; empty if unknown.
+        tube: Motion capture body on the sliding tube, or None.
+        channel: Channel beside the backbone in which the coil slides, or None. With a channel, the
+            coil's arclength is measured along it.
         others: The tracker's other coils, which are not calibrated.
-        frame: Pose T_wt (4, 4) of the tracker in the world as it was stated, if it was.
-        mount: The coil's stated mount (4, 4), after which the one that is found comes.
+        frame: Stated pose T_wt (4, 4) of the tracker in the world, or None.
+        mount: Stated mount (4, 4) of the coil; the estimated mount multiplies it on the right.
     """
 
     coil_name: str
@@ -136,20 +137,20 @@ class RigData(ShortRepr):
 
     @property
     def slides(self) -> bool:
-        """Whether there is a slide."""
+        """Whether the session has samples of a slide."""
         return self.slide_time.size > 1
 
     @cached_property
     def side(self) -> Array:
-        """Side of the backlash on which the coil is (L,), from −1 to 1.
+        """Position of the coil within the backlash (L,), from −1 to 1.
 
-        It is computed for a backlash of `_PLAY` whatever the true one, so that the coil's arclength
-        is linear in the backlash.
+        The backlash is taken as `_PLAY` whatever its true value, so that the coil's arclength is
+        linear in the backlash.
         """
         return side_of_play(self.travel, _PLAY)
 
     def thinned(self, count: int) -> RigData:
-        """The same data with at most `count` coil readings, evenly chosen."""
+        """Copy with at most `count` coil readings, evenly chosen."""
         if self.coil_time.size <= count:
             return self
         rows = evenly_chosen(self.coil_time.size, count)
@@ -157,14 +158,14 @@ class RigData(ShortRepr):
 
     @property
     def block_size(self) -> int:
-        """Number of coil readings, odd, that follow each other within a tenth of a second."""
+        """Odd number of consecutive coil readings that fit into a tenth of a second."""
         if self.coil_time.size < 2:
             return 1
         step = float(np.median(np.diff(self.coil_time)))
         return 2 * int(0.505 * _BLOCK / step) + 1  # a little more, for a clock that runs slow
 
     def blocks(self, size: int, count: int) -> RigData:
-        """The same data with at most `count` blocks of `size` readings without gaps."""
+        """Copy with at most `count` blocks of `size` consecutive coil readings without gaps."""
         first = np.arange(0, self.coil_time.size - size + 1, size)
         lasts = self.coil_time[first + size - 1] - self.coil_time[first]
         first = first[lasts < 1.5 * _BLOCK]
@@ -173,7 +174,7 @@ class RigData(ShortRepr):
         return self.at((first[:, None] + np.arange(size)).ravel())
 
     def at(self, rows: NDArray[np.intp]) -> RigData:
-        """The same data with some of the coil's readings."""
+        """Copy with the coil readings at the indices `rows`."""
         return replace(self, coil_time=self.coil_time[rows], coil=self.coil[rows])
 
 
@@ -182,14 +183,14 @@ class Rig:
     """Constants of a rig.
 
     Attributes:
-        T_wt: Frame of the tracker in the world (4, 4).
-        direction: Sign of arclength with travel, ±1.
+        T_wt: Pose of the tracker in the world (4, 4).
+        direction: Sign of d(arclength)/d(travel), ±1.
         zero: Arclength of the coil at travel 0, m.
-        epoch: Stamp about which the clocks' rates count, s.
-        mount: x, y [m] and tilts about x, y [rad] of the coil in the cross-section, off its stated
-            mount if there is one; of a coil in a channel beside the backbone, how far off the
-            channel is at the base, and those tilts.
-        lead: Metres of arclength for a metre of travel.
+        epoch: Stamp at which the clocks' rates contribute no delay, s.
+        mount: Offsets x, y [m] and tilts about x, y [rad] of the coil from its stated mount. For a
+            coil in a channel beside the backbone, x and y are the channel's offset from its stated
+            place at the base.
+        lead: Metres of arclength per metre of travel.
         backlash: Play between carriage and coil, m.
         tracker_clock: Delay [s] and rate of the tracker's stamps.
         slide_clock: Delay [s] and rate of the slide's stamps.
@@ -206,7 +207,7 @@ class Rig:
     slide_clock: Array = field(default_factory=lambda: np.zeros(2))
 
     def moved(self, step: Array) -> Rig:
-        """The rig moved by `step` (17,) in the order of PARAMETERS; the frame by a right twist."""
+        """Rig updated by `step` (17,), in the order of PARAMETERS; the frame by a right twist."""
         return replace(
             self,
             T_wt=self.T_wt @ se3.exp(step[:6]),
@@ -220,13 +221,13 @@ class Rig:
 
     @property
     def coil_mount(self) -> Array:
-        """The coil off its stated mount (4, 4), without roll and without shift along z."""
+        """Pose (4, 4) of the coil relative to its stated mount; roll and z are zero."""
         twist = np.zeros(6)
         twist[MOUNT] = self.mount
         return se3.exp(twist)
 
     def channel(self, data: RigData) -> Channel | None:
-        """The channel of a session's coil, moved at the base by the mount's x, y."""
+        """The session's channel, displaced at the base by the mount's x, y; None without one."""
         stated = data.channel
         if stated is None:
             return None
@@ -235,7 +236,7 @@ class Rig:
         return Channel(min(float(np.hypot(x, y)), widest), float(np.arctan2(y, x)), stated.pitch)
 
     def mount_at(self, arclength: Array, data: RigData) -> Array:
-        """The coil in the cross-sections at arclengths (M,): T_bc (4, 4), or (M, 4, 4)."""
+        """Mount T_bc (4, 4) of the coil; in a channel (M, 4, 4), one for each arclength (M,)."""
         channel = self.channel(data)
         if channel is None:
             return self.whole_mount(data)
@@ -243,28 +244,28 @@ class Rig:
         return channel.frame(arclength, straight) @ self.whole_mount(data)
 
     def whole_mount(self, data: RigData) -> Array:
-        """The mount (4, 4) of the coil in the cross-section, or in its channel."""
+        """Stated times estimated mount (4, 4), in the cross-section or the channel's frame."""
         return data.mount @ (self.tilt if data.channel else self.coil_mount)
 
     @property
     def tilt(self) -> Array:
-        """The coil off its stated mount (4, 4) in its channel."""
+        """Pose (4, 4) relative to the stated mount with the tilts only, for a coil in a channel."""
         return replace(self, mount=np.append([0.0, 0.0], self.mount[2:])).coil_mount
 
     def true_time(self, stamps: Array) -> Array:
-        """Times (M,) of a tracker's stamps."""
+        """True times (M,) of the tracker's stamps, s."""
         delay, rate = self.tracker_clock
         return stamps - delay - rate * (stamps - self.epoch)
 
     def slide_stamps(self, time: Array) -> Array:
-        """Stamps (M,) of the slide at true times."""
+        """Stamps (M,) of the slide's clock at true times, s."""
         delay, rate = self.slide_clock
         return (time + delay - rate * self.epoch) / (1.0 - rate)
 
     def arclength(self, time: Array, data: RigData) -> Array:
-        """Arclength (M,) of the coil: zero + direction · lead · its travel behind the backlash.
+        """Arclength (M,) of the coil: zero + direction · lead · (travel less backlash).
 
-        Of a coil in a channel it is how far the coil was pushed in from the base.
+        For a coil in a channel, the distance along the channel from the base.
 
         Args:
             time: True times (M,), s.
@@ -277,14 +278,14 @@ class Rig:
         return self.zero + self.direction * self.lead * followed
 
     def covered(self, time: Array, data: RigData) -> NDArray[np.bool_]:
-        """Which true times (M,) the slide's record covers; all of them without a slide."""
+        """Whether the slide was recorded at true times (M,); True everywhere without a slide."""
         if not data.slides:
             return np.ones(time.shape, dtype=bool)
         stamps = self.slide_stamps(time)
         return np.asarray((stamps >= data.slide_time[0]) & (stamps <= data.slide_time[-1]))
 
     def minus(self, other: Rig) -> Array:
-        """The step (17,) with which other.moved(step) is this rig."""
+        """Difference (17,) of two rigs: the step for which other.moved(step) is this rig."""
         return np.concatenate(
             [
                 se3.log(se3.inverse(other.T_wt) @ self.T_wt),

@@ -1,4 +1,4 @@
-"""Rig data from a raw session log."""
+"""Conversion of a raw session log into rig data."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _TRACKER, _MOCAP, _SLIDE = "/tracker/", "/mocap/", "/slide"
 
 @dataclass(frozen=True)
 class _Place:
-    """Where the setup states a coil.
+    """Place of a coil as stated in the setup.
 
     Attributes:
-        arclength: Its arclength at travel 0, m.
-        std: Standard deviation of that, m.
-        stage: Topic of the stage that moves it; empty if it is fixed.
-        channel: The channel beside the backbone that it slides in, if there is one.
+        arclength: Arclength of the coil at travel 0, m.
+        std: Standard deviation of `arclength`, m.
+        stage: Topic of the stage that moves the coil; empty if it is fixed.
+        channel: Channel beside the backbone in which the coil slides, or None.
     """
 
     arclength: float
@@ -38,17 +38,17 @@ class _Place:
 
 
 def rig_data(session: RawSession, coil: str | None = None) -> RigData:
-    """The data of a session's devices, as its metadata 'setup' describes them.
+    """Data of a session's devices, as its metadata 'setup' describes them.
 
     Args:
-        session: Raw session log. Repeated frames count once, poses that are null are left out.
-        coil: Name of the coil to calibrate; by default the one that the setup names, and of
-            several the only one that slides.
+        session: Raw session log. Repeated frames are counted once, null poses are skipped.
+        coil: Name of the coil to calibrate; by default the coil named in the setup, else the only
+            coil, else the only one that slides.
 
     Raises:
-        RecordingError: If the setup or a tracker topic is missing or wrong, if the setup has a key
-            that means nothing, if there is no such coil, or there are several, or if a body has no
-            place.
+        RecordingError: If the setup or a tracker topic is missing or wrong, if the setup has an
+            unknown key, if there is no such coil or the choice is ambiguous, or if a body has no
+            arclength.
     """
     setup = Table(session_setup(session), "setup", RecordingError)
     coils = dict(setup.named_tables("coils"))
@@ -70,7 +70,7 @@ def rig_data(session: RawSession, coil: str | None = None) -> RigData:
         direction=direction if slide_time.size > 1 else 0,
         noise=_noise(setup),
         robot=setup.text("robot", ""),
-        tube=tube if place.stage == _SLIDE else None,  # it is on the first stage's tube
+        tube=tube if place.stage == _SLIDE else None,  # the body is on the first stage's tube
         channel=place.channel,
         others=tuple(_others(session, setup, coils, name, place.stage)),
         frame=frame.pose() if frame else None,
@@ -88,7 +88,7 @@ def _direction(setup: Table) -> int:
 
 
 def _noise(setup: Table) -> Noise:
-    """Noise as the setup states it, presets where it does not."""
+    """Noise as stated in the setup, with presets for missing keys."""
     preset = Noise()
     stated: dict[str, Any] = {"backlash": setup.number("backlash", preset.backlash)}
     for part, key in _NOISE.items():
@@ -100,7 +100,7 @@ def _noise(setup: Table) -> Noise:
 def _chosen(
     session: RawSession, setup: Table, coils: Mapping[str, Table], wanted: str | None
 ) -> str:
-    """The name of the coil to calibrate."""
+    """Name of the coil to calibrate."""
     seen = [topic.removeprefix(_TRACKER) for topic in session.topics if topic.startswith(_TRACKER)]
     if not seen:
         raise RecordingError(
@@ -124,7 +124,7 @@ def _chosen(
 
 
 def _place(setup: Table, entry: Table | None) -> _Place:
-    """Where a coil of this entry is; one without an entry slides and is where the setup says."""
+    """Place of a coil by its entry; without an entry it slides, from the setup's coil_arclength."""
     if entry is None:
         place = setup.number("coil_arclength", positive=False)
         return _Place(place, setup.number("coil_arclength_std"), _SLIDE, None)
@@ -146,7 +146,7 @@ def _place(setup: Table, entry: Table | None) -> _Place:
 def _others(
     session: RawSession, setup: Table, coils: Mapping[str, Table], name: str, stage: str
 ) -> Iterator[OtherCoil]:
-    """The coils of the setup beside the one of this name, which this stage moves."""
+    """Other coils of the setup than `name`, which is moved by `stage`."""
     for other, entry in coils.items():
         time, poses = seen_poses(session.topics.get(_TRACKER + other))
         if other == name or not time.size:
@@ -161,7 +161,7 @@ def _others(
 
 
 def _bodies(session: RawSession, setup: Table) -> tuple[dict[str, Body], TubeBody | None]:
-    """The bodies on the robot, and the one on the sliding tube."""
+    """Motion capture bodies on the robot, and the one on the sliding tube or None."""
     given = setup.table("bodies")
     known = given.names() if given else []
     out, tubes = {}, []
@@ -178,7 +178,7 @@ def _bodies(session: RawSession, setup: Table) -> tuple[dict[str, Body], TubeBod
         time, poses = seen_poses(topic)
         if entry.flag("slides"):
             tubes.append(TubeBody(name, time, poses))
-            for key in ("arclength", "position", "quaternion"):  # of one on the robot
+            for key in ("arclength", "position", "quaternion"):  # keys of bodies on the robot
                 entry.skip(key)
         else:
             arclength, mount = entry.number("arclength", positive=False), entry.pose()

@@ -1,4 +1,4 @@
-"""The robot's shape from motion capture alone, and the joint covariance of its errors."""
+"""Estimate of the robot's shape from motion capture alone, with the joint covariance of errors."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.sensors import PoseReadings
 from glissando.solver.block_tridiagonal import Cholesky
 
-_FINE, _MARGIN = 0.03, 1e-3  # m: between nodes where the coil slides, and beyond its reach
-_APART = 5e-4  # m: a place nearer to an end or a joint is at its node
-_RATE, _MOST = 16.0, 1000  # Hz of time nodes at least, and their number at most
-_SPARSE = 2  # every so many of these nodes is used while the robot is still
-_STILL = 3.0  # RMS motion, in standard deviations of the noise, of a body that keeps still
-_ANYWHERE = 1.0  # m² and rad²: variance of a base that bodies place
-_LAPSE, _MOVED = 0.3, 4.0  # s before and after that are compared; standard deviations of a motion
+_FINE, _MARGIN = 0.03, 1e-3  # m: node spacing where the coil slides; tolerance of that range
+_APART = 5e-4  # m: an arclength nearer than this to an end or a joint uses its node
+_RATE, _MOST = 16.0, 1000  # Hz: lowest rate of time nodes; their largest number
+_SPARSE = 2  # stride of the time nodes that are used while the robot is still
+_STILL = 3.0  # RMS motion, in standard deviations of the noise, below which a body is still
+_ANYWHERE = 1.0  # m² and rad²: variance of a base that is located by bodies
+_LAPSE, _MOVED = 0.3, 4.0  # s before and after a time that are compared; standard deviations
 _STILL_PACE = 1e-3  # factor of the densities along time while the robot is still
 
 
 def body_readings(data: RigData) -> list[PoseReadings]:
-    """The poses of every body as readings."""
+    """Pose readings of every motion capture body."""
     var = np.repeat(np.asarray(data.noise.mocap) ** 2, 3)
     return [
         PoseReadings(
@@ -53,15 +53,15 @@ def body_readings(data: RigData) -> list[PoseReadings]:
 def estimate_shape(data: RigData, robot: Robot) -> Posterior:
     """Estimate shape and motion from motion capture alone.
 
-    A robot that keeps still is estimated at a single time: with a motion fitted to noise, the
-    clocks would seem to be known.
+    A robot at rest is estimated at a single time: a motion fitted to noise would make delays of the
+    clocks appear observable.
 
     Args:
         data: The session.
         robot: The robot with its prior.
 
     Raises:
-        RecordingError: If bodies were seen at a single time.
+        RecordingError: If all samples of the bodies are of a single time.
     """
     readings = body_readings(data)
     start, stop = span(data)
@@ -83,7 +83,7 @@ def estimate_shape(data: RigData, robot: Robot) -> Posterior:
 
 
 def _paced(prior: WhiteNoisePrior, data: RigData, grid: Grid) -> tuple[WhiteNoisePrior, Grid]:
-    """The prior with less noise while the robot is still, and a grid with fewer nodes then."""
+    """Prior with smaller densities and grid with fewer time nodes while the robot is still."""
     moves = _moves(data, 0.5 * (grid.time[1:] + grid.time[:-1]))
     used = np.arange(grid.time.size) % _SPARSE == 0
     used[:-1] |= moves
@@ -95,7 +95,7 @@ def _paced(prior: WhiteNoisePrior, data: RigData, grid: Grid) -> tuple[WhiteNois
 
 
 def _moves(data: RigData, time: Array) -> NDArray[np.bool_]:
-    """Whether any body moves at each time (K,), beyond the noise of motion capture."""
+    """Whether any body moves at each time (K,) by more than the noise of motion capture."""
     std, moves = np.repeat(data.noise.mocap, 3), np.zeros(time.size, dtype=bool)
     for body in data.bodies.values():
         at = np.searchsorted(body.time, [time - _LAPSE, time, time + _LAPSE])
@@ -110,13 +110,13 @@ def _moves(data: RigData, time: Array) -> NDArray[np.bool_]:
 
 
 def span(data: RigData) -> tuple[float, float]:
-    """First and last time at which motion capture saw a body."""
+    """First and last time of motion capture's samples, s."""
     times = [b.time for b in data.bodies.values()]
     return min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
 
 
 def _keeps_still(data: RigData) -> bool:
-    """Whether no body moves by much more than the noise of motion capture."""
+    """Whether all bodies are still, to within `_STILL` times the noise of motion capture."""
     std = np.repeat(data.noise.mocap, 3)
     for body in data.bodies.values():
         moved = se3.log(se3.inverse(body.poses[len(body.poses) // 2]) @ body.poses) / std
@@ -126,9 +126,9 @@ def _keeps_still(data: RigData) -> bool:
 
 
 def _nodes(data: RigData, robot: Robot) -> Array:
-    """Arclengths with a node at every joint and body, and closely spaced where the coil slides.
+    """Arclength nodes (N,) at every joint and body, closely spaced where the coil slides.
 
-    The uncertainty between nodes counts as independent for each reading, so it has to be small.
+    The interpolation covariance is treated as independent for each reading, so it must be small.
     """
     travel = np.append(data.travel, 0.0)
     reach = np.concatenate([data.coil_arclength + travel, data.coil_arclength - travel])
@@ -147,9 +147,9 @@ def _nodes(data: RigData, robot: Robot) -> Array:
 
 
 def _free_base(robot: Robot, data: RigData) -> Prior:
-    """The robot's prior with its base where the bodies put it, if there are two or more.
+    """Prior with a free base, initialised from the bodies, if there are two or more.
 
-    The base is seldom placed in motion capture's world as accurately as a robot file states.
+    The base pose in motion capture's world is seldom as accurate as a robot file states.
     """
     prior = robot.prior
     if len(data.bodies) < 2 or not isinstance(prior, WhiteNoisePrior | SeparablePrior):
@@ -178,16 +178,17 @@ def shape_covariance(
 ) -> Array:
     """Joint covariance of linear functions of the shape's states at many points.
 
-    Time slabs are correlated by a chain of gains, Cov(k, j) = A_k Cov(k+1, j), which is evaluated
-    once from the last slab to the first. The uncertainty between nodes is added by point (13).
+    Time nodes are correlated by a chain of gains, Cov(k, j) = A_k Cov(k+1, j), which is evaluated
+    once from the last time node to the first. The covariance of interpolation between nodes (13) is
+    added for each point.
 
     Args:
         shape: Posterior of the shape.
-        chol: Factor of its information.
+        chol: Cholesky factor of the posterior's information.
         arclength: Arclengths (M,), m.
-        time: Times (M,), s, which must not decrease.
-        by_state: Derivatives (M, r, 18) of the functions by the states.
-        along: Further derivatives (M, r, N·dof) by all nodes at each point's time.
+        time: Non-decreasing times (M,), s.
+        by_state: Jacobians (M, r, 18) of the functions with respect to the states.
+        along: Further Jacobians (M, r, N·dof) with respect to all nodes at each point's time.
 
     Returns:
         Covariance (M·r, M·r).
@@ -215,11 +216,14 @@ def shape_covariance(
 
 
 def _chained(shape: Posterior, chol: Cholesky, lower: Array, touched: Array) -> Array:
-    """Joint covariance (M·r, M·r) of rows (2, M, r, D) of slabs `lower` (M,) and the next."""
+    """Joint covariance (M·r, M·r) of linear functions of two neighbouring time nodes each.
+
+    Rows `touched` (2, M, r, D) apply to the time nodes `lower` (M,) and the next.
+    """
     _, m, r, width = touched.shape
     cov, cross = shape.marginals.cov, shape.marginals.cross
     out = np.zeros((m * r, m * r))
-    done = m  # readings from here on are in `ahead`, the covariance of the next slab with them
+    done = m  # `ahead` is the covariance of the next time node with the readings from here on
     ahead = np.zeros((width, 0))
     for k in reversed(range(len(cov))):
         of_slab = np.flatnonzero(lower == k)

@@ -1,4 +1,7 @@
-"""The slide against the tracker, by the speeds of carriage and coil; no motion capture needed."""
+"""Calibration of the slide against the tracker, by regression of the coil's on the slide's speed.
+
+No motion capture is needed.
+"""
 
 from __future__ import annotations
 
@@ -10,26 +13,26 @@ from glissando.calibration.rig.rig import PARAMETERS, Rig, RigData
 from glissando.geometry.se3 import Array
 
 LATEST = 2.0
-"""Largest delay between two clocks that is looked for, s."""
+"""Largest delay between two clocks in the search, s."""
 _FOUND = [PARAMETERS.index(name) for name in ("lead", "slide delay", "backlash")]
-_LAP = 0.1  # s over which speeds are taken
-_STEP = 0.025  # s between delays that are tried
+_LAP = 0.1  # s over which positions are differenced to speeds
+_STEP = 0.025  # s between delays of the search
 _NUDGE = 0.02  # s over which the carriage's speed is differenced
-_EQUAL = 0.95  # of the best correlation, from where on a delay is as good
+_EQUAL = 0.95  # of the largest correlation, above which delays count as equally good
 _ROUNDS = 5
-_EXACT = 1e-8  # m, standard deviation of a backlash that is known
+_EXACT = 1e-8  # m: standard deviation of a known backlash
 _CORRELATED = 4.0  # neighbouring speeds that share the noise of a coil reading
 _MEMORY = 10.0  # s over which the robot's own motion is correlated
 _FEWEST = 10  # speeds of the coil
-_FINEST = 1e-6  # m/s that no coil's speed is known better
-_MOVED = 0.1  # of the coil's squared speed: more that is not the carriage's is the robot's
+_FINEST = 1e-6  # m/s: least standard deviation of the coil's speed
+_MOVED = 0.1  # unexplained share of the coil's squared speed above which the robot was moving
 
 
 def slide_lag(data: RigData) -> float:
     """Delay of the slide's stamps relative to the coil's, s, by correlation of their speeds.
 
-    The coil's speed along its own axis goes with the carriage's. Zero when either is at rest. A
-    slide that goes to and fro evenly looks alike half a period later: of equals it is the nearest.
+    The coil's speed along its own axis is correlated with the carriage's; the result is zero if
+    either is at rest. A periodic motion has several equal peaks: the nearest to zero is returned.
 
     Args:
         data: The session.
@@ -51,20 +54,20 @@ def slide_lag(data: RigData) -> float:
 def against_slide(data: RigData, expected: Rig, std: Array) -> tuple[Rig, Array]:
     """Direction, lead, backlash and slide delay relative to the tracker, by regression of speeds.
 
-    The robot's own motion counts as noise, whose correlation over seconds is taken from the
-    residuals themselves; what was expected counts as well. While the carriage moves at one speed,
-    play looks like a late clock. Where the robot moved much, its motion may look like a lead or a
-    delay: then the direction is found and the nearest delay, and nothing is known the better.
+    The robot's own motion is treated as noise, whose correlation over seconds is estimated from the
+    residuals; the prior is included. At constant speed of the carriage, play cannot be
+    distinguished from a delay. If the robot moved much, its motion may resemble a lead or a delay:
+    then only the direction and the delay of `slide_lag` are returned, with the prior covariance.
 
     Source: Newey and West 1987, for the covariance of least squares under correlated noise.
 
     Args:
         data: The session.
-        expected: The rig before calibration.
-        std: Standard deviations (17,) of its parameters.
+        expected: Prior mean of the rig.
+        std: Prior standard deviations (17,).
 
     Returns:
-        The rig and its covariance (17, 17), which stays as it was for all other parameters.
+        The rig and its covariance (17, 17), which is the prior's for all other parameters.
     """
     cov, play = np.diag(std**2), expected.backlash
     if not data.slides or np.ptp(data.travel) < 1e-3:
@@ -88,10 +91,10 @@ def against_slide(data: RigData, expected: Rig, std: Array) -> tuple[Rig, Array]
 def _regressed(
     data: RigData, expected: Rig, std: Array, lag: float
 ) -> tuple[Array, Array, float] | None:
-    """Signed lead, slide delay and backlash (3,), their covariance, and what they leave.
+    """Signed lead, slide delay and backlash (3,), their covariance, and the unexplained share.
 
-    That is the share of the coil's squared speed that is neither the carriage's nor noise. None
-    where slide or coil rested, or the coil was hardly seen.
+    The share is that of the coil's squared speed which is neither the carriage's nor noise. None if
+    slide or coil rested, or the coil has too few readings.
     """
     known = np.diag(np.maximum(std[_FOUND], _EXACT) ** -2.0)
     found = np.array([0.0, lag, expected.backlash])
@@ -128,11 +131,12 @@ def _noise(data: RigData) -> float:
 
 
 def _information(time: Array, jacobian: Array, residual: Array) -> tuple[Array, Array]:
-    """Information (3, 3) of residuals (P,) at times, and its product with their step (3,).
+    """Robust information (3, 3) of residuals (P,) at times, and its product with their step (3,).
 
-    Of residuals that share the noise of readings and are correlated over `_MEMORY`: products with
-    the slopes are summed over pairs, the less the farther these are apart. Of a short time the
-    sums are too small, so they count as much more as the time is longer than what is left of it.
+    The covariance of least squares is Newey and West's: products of residuals and Jacobians are
+    summed over pairs, with weights that fall linearly to zero at the lag `_MEMORY`. For short
+    recordings the sums are biased low and scaled up by duration / (duration − `_MEMORY`). The noise
+    of readings, shared by neighbouring speeds, is added.
     """
     normal, scores = jacobian.T @ jacobian, jacobian * residual[:, None]
     apart = float(np.median(np.diff(time)))
@@ -148,7 +152,7 @@ def _information(time: Array, jacobian: Array, residual: Array) -> tuple[Array, 
 
 
 def _coil_speeds(data: RigData) -> tuple[Array, Array]:
-    """Stamps (P,) of the coil and its speed along its own axis, m/s, in any frame."""
+    """Stamps (P,) and speeds of the coil along its own axis, m/s; independent of the frame."""
     time, pose = data.coil_time, data.coil
     later = np.searchsorted(time, time + _LAP)
     first = np.flatnonzero(later < time.size)
@@ -161,6 +165,6 @@ def _coil_speeds(data: RigData) -> tuple[Array, Array]:
 
 
 def _speeds(data: RigData, travel: Array, stamps: Array) -> Array:
-    """Change of a travel (L,) a second (P,) at stamps of the slide, over the coil's time."""
+    """Rates (P,) of a travel (L,) at stamps of the slide, differenced over `_LAP`."""
     ends = [np.interp(stamps + h, data.slide_time, travel) for h in (-0.5 * _LAP, 0.5 * _LAP)]
     return (ends[1] - ends[0]) / _LAP

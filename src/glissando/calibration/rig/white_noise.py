@@ -1,4 +1,4 @@
-"""How noisy a coil's readings are: by how much each differs from what its neighbours say."""
+"""White noise of a coil, estimated from second differences of its residuals."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from glissando.calibration.rig.model import ROWS, CoilModel
 from glissando.calibration.rig.rig import Rig
 
-_WITHIN = 2.0  # usual steps between three readings that count as neighbours
-_NORMAL = 1.4826  # standard deviations of a normal number in its median distance from zero
-_FEWEST = 20  # triples of neighbours
+_WITHIN = 2.0  # median time steps, the longest between neighbouring readings
+_NORMAL = 1.4826  # standard deviation of a normal variable over its median absolute value
+_FEWEST = 20  # triples of neighbouring readings
 
 
 def with_measured_noise(model: CoilModel, rig: Rig) -> CoilModel:
-    """The model with white noise of the coil as large as readings show, or as was assumed.
+    """Model with the coil's white noise as measured, but not below the stated noise.
 
-    Second differences of the residuals of neighbours show the white noise alone: what a rough rig,
-    a field's distortion or a tube's clearance add changes slowly.
+    Second differences of consecutive residuals contain white noise only: errors of a rough rig, the
+    field's distortion and the tube's clearance change slowly.
 
     Args:
-        model: The readings, none averaged.
-        rig: A rough rig.
+        model: The coil's readings, not averaged.
+        rig: An approximate rig.
     """
     step = np.diff(model.data.coil_time)
     residual = replace(model, block_size=1).residual(rig).reshape(-1, ROWS)

@@ -1,1 +1,1 @@
-"""Numbers of a robot file, and mounts in a laboratory, learned from recordings."""
+"""Learning of a robot file's parameters, and calibration of mounts, from recordings."""

@@ -1,13 +1,13 @@
-"""What readings tell of parameters, by how those change the evidence at an estimate.
+"""Gradient and average information of the readings' evidence with respect to parameters.
 
-With A the information of the states, A₀ that of the prior alone and R the covariances of all
-residuals e, for log det those of the readings, minus the evidence (22) has the slope of
-½ eᵀR⁻¹e where the estimate is held, which is where that is least, and that of
-½ (log det A − log det A₀ + log det R) where the estimate moves on by a Gauss–Newton step. Its
-curvature is the average of the observed and of the expected information, which takes first
-derivatives alone (Gilmour, Thompson and Cullis, Average information REML, Biometrics 51, 1995):
-with the changes m of means e and u = (∂R) R⁻¹ e of covariances, and what the states explain taken
-off, mᵀR⁻¹m + ½ uᵀR⁻¹u.
+Minus the log evidence (22) is ½ eᵀR⁻¹e + ½ (log det A − log det A₀ + log det R) and a constant,
+with A the information of the states, A₀ that of the prior alone, e all residuals and R their
+covariances (in log det R, the readings' only). The first term is least at the estimate, so it is
+differentiated with the estimate fixed; the second with the estimate moved by a Gauss–Newton step.
+The curvature is the average of observed and expected information, which needs first derivatives
+only (Gilmour, Thompson and Cullis, Average information REML, Biometrics 51, 1995):
+mᵀR⁻¹m + ½ uᵀR⁻¹u, with the derivatives m of residuals and u = (∂R) R⁻¹ e of covariances, after the
+part that the states explain is projected out.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ from glissando.solver.located_readings import LocatedReadings, locate
 from glissando.solver.normal_equations import system_shape
 
 NUDGE, FINE = 1e-3, 1e-5
-"""Of a logarithm: at a held estimate nothing but first differences is rounded. The fine one, to
-both sides, is for what moves expected values by many deviations, nearly all of which the states
-explain: what is of second order in it, they explain as well."""
-_STILL = 0.01  # deviations over all residuals by which a nudge may move their means
-_MOST = 1e4  # how far observed and expected information may be apart
+"""Steps of finite differences, of a parameter's logarithm. The fine one, with central differences,
+is for parameters that move the predicted values by many standard deviations, nearly all of which
+the states explain, second-order terms included."""
+_STILL = 0.01  # standard deviations, over all residuals, by which NUDGE may move their means
+_MOST = 1e4  # largest ratio of observed to expected information
 
 
 class Change(NamedTuple):
-    """How a parameter changes minus the evidence, by one unit of it.
+    """Derivatives of minus the log evidence by one parameter.
 
     Attributes:
-        misfit: Slope of ½ eᵀR⁻¹e.
-        width: Slope of ½ (log det A − log det A₀ + log det R).
-        shift: By how many standard deviations, over all residuals, it moves their means.
-        left: Changes whose products with `right` of another parameter are information.
-        right: The same, with what the states explain solved for.
+        misfit: Derivative of ½ eᵀR⁻¹e.
+        width: Derivative of ½ (log det A − log det A₀ + log det R).
+        shift: Norm of the derivative of the residuals' means, in standard deviations.
+        left: Vector whose product with `right` of another parameter is their information.
+        right: The same vector with the states' part multiplied by the inverse of A.
     """
 
     misfit: float
@@ -63,25 +63,25 @@ class Change(NamedTuple):
     right: Array
 
     def halfway_to(self, other: Change) -> Change:
-        """The mean of two changes."""
+        """Mean of two derivatives."""
         misfit, shift = 0.5 * (self.misfit + other.misfit), 0.5 * (self.shift + other.shift)
         left, right = 0.5 * (self.left + other.left), 0.5 * (self.right + other.right)
         return Change(misfit, 0.5 * (self.width + other.width), shift, left, right)
 
 
 def slopes(changes: Sequence[Change | None], count: int) -> tuple[Array, Array]:
-    """Slope (P,) and information (P, P) of minus the evidence, per degree of freedom.
+    """Gradient (P,) and information (P, P) of minus the log evidence, per degree of freedom.
 
-    Of a covariance that is scaled by exp(z) too much, the average information differs from the
-    curvature by exp(∓z) and the expected one by 1; their geometric mean predicts the whole way
-    back up to z³ / 24. Of what moves means both are the same.
+    For a covariance that is too large by a factor exp(z), average and expected information differ
+    by a factor exp(∓z); with their geometric mean, a Newton step restores z up to an error z³ / 24.
+    For parameters that move means, both are equal.
 
     Args:
-        changes: What each parameter changes; None where there is no estimate.
+        changes: Derivatives by each parameter (P,); None where there is no estimate.
         count: Degrees of freedom.
 
     Returns:
-        Slope and information, zero for a parameter without an estimate.
+        Gradient and information, zero for a parameter without an estimate.
     """
     size = len(changes)
     slope, scale, information = np.zeros(size), np.ones(size), np.zeros((size, size))
@@ -98,7 +98,7 @@ def slopes(changes: Sequence[Change | None], count: int) -> tuple[Array, Array]:
 
 
 class EvidenceAt:
-    """The evidence of cases about a robot file, at the estimates that its centre holds."""
+    """Evidence of cases near a robot file, linearised at given estimates."""
 
     def __init__(
         self, cases: Sequence[RecordingCase], document: Document, starts: Sequence[Start]
@@ -106,20 +106,20 @@ class EvidenceAt:
         """Linearise every case.
 
         Args:
-            cases: The cases.
+            cases: Windows of recordings.
             document: The robot file.
-            starts: Its estimates.
+            starts: Estimate of each case with that file.
         """
         robot = _robot(document)
         self._cases = [_Linearized(*each, robot) for each in zip(cases, starts, strict=True)]
 
     def change(self, nudged: Document, *finely: Document) -> Change:
-        """What changes from there by one unit of a parameter.
+        """Derivatives by one parameter.
 
         Args:
             nudged: The robot file with the parameter moved by `NUDGE`.
-            finely: The same, moved by `FINE` and back by as much, which are taken where it moves
-                means by much.
+            finely: The robot files with the parameter moved by `FINE` and by −`FINE`, which are
+                used if `NUDGE` moves the means of residuals by too much.
         """
         change, width = self._change(nudged, NUDGE), self._width(nudged)
         if NUDGE * change.shift >= _STILL:
@@ -128,7 +128,7 @@ class EvidenceAt:
         return change._replace(width=width)
 
     def _change(self, document: Document, nudge: float) -> Change:
-        """What changes from there to another robot file, by one unit of its `nudge`."""
+        """Difference quotients to a robot file whose parameter is moved by `nudge`; width 0."""
         robot = _robot(document)
         parts = [case.change(robot, nudge) for case in self._cases]
         misfit, shift = sum(part.misfit for part in parts), [part.shift for part in parts]
@@ -136,7 +136,7 @@ class EvidenceAt:
         return Change(misfit, 0.0, float(np.hypot.reduce(shift)), left, right)
 
     def _width(self, document: Document) -> float:
-        """What changes of log determinants to a robot file, by one unit of its `NUDGE`."""
+        """Difference quotient of the log determinants to a robot file moved by `NUDGE`."""
         robot = _robot(document)
         return sum(case.change_of_width(robot, NUDGE) for case in self._cases)
 
@@ -157,7 +157,7 @@ class _Linearized:
         self._misfit, self._width = _cost(here), self._width_of(here, robot)
 
     def _located(self, robot: Robot) -> LocatedReadings:
-        """The readings where the estimate puts them."""
+        """Readings located on the grid, with sensor parameters and arclengths of the estimate."""
         known = [parameter for parameter in robot.sensor_parameters if parameter.known]
         grid, prior = self._case.grid(robot), robot.prior
         readings = [corrected(r, known) for r in self._case.readings(robot)]
@@ -166,13 +166,13 @@ class _Linearized:
         return with_parameters(located, self._start.sensor_parameters)
 
     def _width_of(self, at: NormalEquations, robot: Robot) -> float:
-        """½ (log det A + log det R) less what normalises the prior's factors together."""
+        """½ (log det A + log det R) less the log normaliser of the prior's factors."""
         whole = 0.5 * (factor(at.system).log_det + at.log_det_noise)
         grid, prior = self._case.grid(robot), robot.prior
         return whole - log_normalizer(prior, grid, at.state, at.state)
 
     def change_of_width(self, robot: Robot, nudge: float) -> float:
-        """What changes of log determinants to another robot and its estimate, by its `nudge`."""
+        """Difference quotient of the log determinants, each at its own robot's estimate."""
         there = linearize(*self._problem(robot))
         step = self._cholesky.solve(there.rhs - self._rhs)
         of_nodes, of_parameters = there.split(step)
@@ -181,11 +181,11 @@ class _Linearized:
         return (self._width_of(moved, robot) - self._width) / nudge
 
     def _problem(self, robot: Robot) -> tuple[Prior, LocatedReadings, State, State, Array]:
-        """What is linearised for another robot where the estimate is."""
+        """Arguments of `linearize` for another robot at the fixed estimate."""
         return robot.prior, self._located(robot), self._state, self._state, self._memory
 
     def change(self, robot: Robot, nudge: float) -> Change:
-        """What changes to another robot, by one unit of its `nudge`."""
+        """Difference quotients to another robot at the fixed estimate."""
         problem = self._problem(robot)
         there = linearize(*problem)
         further = np.vdot(self._left_to_go, there.rhs - self._rhs)
@@ -215,7 +215,7 @@ def _cost(at: NormalEquations) -> float:
 
 
 def _shifted(before: Sequence[Residuals], after: Sequence[Residuals]) -> Array:
-    """Changes of residuals (M,), whitened as before."""
+    """Changes of residuals (M,), whitened with the covariances before."""
     pairs = zip(before, after, strict=True)
     return np.concatenate(
         [_weighted(here, here.whiten(there.residual - here.residual)) for here, there in pairs]
@@ -223,7 +223,7 @@ def _shifted(before: Sequence[Residuals], after: Sequence[Residuals]) -> Array:
 
 
 def _widened(before: Sequence[Residuals], after: Sequence[Residuals]) -> Array:
-    """Changes of covariances R times R⁻¹e (M,), whitened as before, to first order."""
+    """Changes of R times R⁻¹e (M,) to first order, whitened with the covariances before."""
     parts = []
     for here, there in zip(before, after, strict=True):
         wide = np.einsum("mji,mj->mi", there.sqrt_info, there.whiten(here.residual))
@@ -233,5 +233,5 @@ def _widened(before: Sequence[Residuals], after: Sequence[Residuals]) -> Array:
 
 
 def _weighted(terms: Residuals, white: Array) -> Array:
-    """Whitened numbers (M,), weighted by the loss of the residuals."""
+    """Whitened values (M,), weighted by the robust loss of the residuals."""
     return np.ravel(np.sqrt(terms.robust_weights())[:, None] * white)

@@ -1,4 +1,4 @@
-"""What a robot file is learned from: a grid, readings and truth of its own."""
+"""Recording windows from which a robot file is learned: grid, readings and truth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import corrected
 from glissando.model.sensors.readings import Readings
 
-_REST = 1.0  # s of rest that is kept before the first and after the last motion
+_REST = 1.0  # s of rest kept before the first and after the last motion
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class RecordingCase:
     Attributes:
         recording: The recording.
         window: First and last time, s.
-        use: Streams to use.
-        predict: Truth streams to predict; none to maximise the evidence of those that are used.
+        use: Names of the streams to estimate from.
+        predict: Names of truth streams to predict; if empty, the evidence of `use` is maximised.
     """
 
     recording: Recording
@@ -34,26 +34,26 @@ class RecordingCase:
     predict: Sequence[str] = ()
 
     def grid(self, robot: Robot) -> Grid:
-        """The robot's grid over the window."""
+        """Grid of the robot over the window."""
         readings = self.readings(robot) if robot.nodes_at_readings else ()
         return robot.grid(*self.window, readings)
 
     def readings(self, robot: Robot) -> list[Readings]:
-        """The streams to use, inside the window."""
+        """Readings of the streams `use` inside the window."""
         return self.recording.readings(self.use, robot, self.window)[0]
 
     def truth(self, robot: Robot) -> list[Readings]:
-        """The streams to predict, inside the window, put right by known sensor parameters."""
+        """Truth streams inside the window, corrected by the robot's known sensor parameters."""
         truth, _ = self.recording.readings(self.predict, robot, self.window, as_truth=True)
         return [corrected(stream, robot.sensor_parameters) for stream in truth if len(stream)]
 
     def while_moving(self, robot: Robot) -> RecordingCase:
-        """The case without the rest before truth first moves and after it last did.
+        """Copy without the rest before the first and after the last motion of the truth.
 
-        Truth says there what its first sample says. A case without truth stays as it is, and so
-        does one whose robot never moves.
+        Truth at rest adds no information to its first sample. A case without truth, or whose robot
+        never moves, is returned unchanged.
         """
-        later = (in_motion([t])[1:] for t in self.truth(robot))  # a first sample counts always
+        later = (in_motion([t])[1:] for t in self.truth(robot))  # the first interval always counts
         moving = APART * np.unique(np.concatenate([np.zeros(0), *later]))
         if not moving.size:
             return self

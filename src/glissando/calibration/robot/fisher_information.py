@@ -1,4 +1,4 @@
-"""What truth tells of parameters, by how they change what an estimate predicts of it."""
+"""Fisher information of truth about parameters, by finite differences of the predictions."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from glissando.calibration.robot.predictive import Predicted, Score
 from glissando.geometry.se3 import Array
 
 NUDGE = 1e-2
-"""Of a logarithm: far above what estimates beside one another are rounded to."""
-_LONGEST_MEMORY = 0.97  # correlation of residuals at neighbouring moments at most
+"""Step of finite differences of a parameter's logarithm, far above rounding errors of estimates."""
+_LONGEST_MEMORY = 0.97  # largest correlation of residuals of neighbouring intervals
 
 
 def slopes(centre: Score, beside: Sequence[Score | None], nudge: float) -> tuple[Array, Array]:
-    """Slope (P,) and Fisher information (P, P) of minus a score, per degree of freedom.
+    """Gradient (P,) and Fisher information (P, P) of minus a score, per degree of freedom.
 
     The information of Gaussian samples with residual r and covariance S is
-    Σ rᵢᵀ S⁻¹ rⱼ + ½ tr(S⁻¹ Sᵢ S⁻¹ Sⱼ), where an index is the derivative by that parameter: what the
-    curvature is on average. So it takes first differences alone, and from one side.
+    Σ rᵢᵀ S⁻¹ rⱼ + ½ tr(S⁻¹ Sᵢ S⁻¹ Sⱼ), where an index is the derivative by that parameter. It is
+    the expected curvature, and needs one-sided first differences only.
 
     Args:
-        centre: The score of a robot file.
-        beside: Scores with each parameter (P,) nudged; None where there is no estimate.
-        nudge: How far it was moved.
+        centre: Score of the robot file.
+        beside: Scores with each parameter (P,) perturbed; None where there is no estimate.
+        nudge: Perturbation of the parameters.
 
     Returns:
-        Slope and information, zero for a parameter without an estimate.
+        Gradient and information, zero for a parameter without an estimate.
     """
     count = len(beside)
     slope, changes = np.zeros(count), np.zeros((count, 0))
@@ -42,17 +42,17 @@ def slopes(centre: Score, beside: Sequence[Score | None], nudge: float) -> tuple
 
 
 def slope_covariance(centre: Score, beside: Sequence[Score | None], nudge: float) -> Array:
-    """Covariance (P, P) of the slope per degree of freedom, as errors of an estimate last.
+    """Covariance (P, P) of the gradient per degree of freedom, with errors correlated over time.
 
-    It is the information of `slopes` if no two samples err together. Where those of two moments
-    correlate by r, their products of changed means count by r, of changed covariances by r²; r
-    falls exponentially with the time between, as fast as residuals themselves say (the Godambe
-    information of a composite likelihood: Varin, Reid and Firth, Statistica Sinica 21, 2011).
+    For independent samples it is the information of `slopes`. If residuals at two times have the
+    correlation r, products of their derivatives of means are weighted by r, of covariances by r²;
+    r falls exponentially with time, at a rate estimated from the residuals (the Godambe information
+    of a composite likelihood: Varin, Reid and Firth, Statistica Sinica 21, 2011).
 
     Args:
-        centre: The score of a robot file.
-        beside: Scores with each parameter (P,) nudged; None where there is no estimate.
-        nudge: How far it was moved.
+        centre: Score of the robot file.
+        beside: Scores with each parameter (P,) perturbed; None where there is no estimate.
+        nudge: Perturbation of the parameters.
     """
     out = np.zeros((len(beside), len(beside)))
     for i, ((residual, cov), moment) in enumerate(
@@ -74,7 +74,7 @@ def slope_covariance(centre: Score, beside: Sequence[Score | None], nudge: float
 
 
 def _alike(white: Array, moment: Array) -> Array:
-    """Correlations (r, M, M) of whitened residuals (M, r) at numbers (M,) of their moments."""
+    """Correlations (r, M, M) of whitened residuals (M, r) in intervals with indices (M,)."""
     apart = np.abs(moment[:, None] - moment)
     near = np.argwhere(np.triu(apart == 1.0))
     pairs = white[near[:, 0]], white[near[:, 1]]
@@ -85,7 +85,7 @@ def _alike(white: Array, moment: Array) -> Array:
 
 
 def _whitened(centre: Sequence[Predicted], beside: Sequence[Predicted], nudge: float) -> Array:
-    """Changes of residuals and covariances by a parameter, of which products are information."""
+    """Whitened derivatives by a parameter, whose inner products are the information."""
     parts: list[Array] = []
     for (residual, cov), (moved, widened) in zip(centre, beside, strict=True):
         along, across = _changes(np.linalg.cholesky(cov), moved - residual, widened - cov)
@@ -94,7 +94,7 @@ def _whitened(centre: Sequence[Predicted], beside: Sequence[Predicted], nudge: f
 
 
 def _changes(root: Any, mean: Array, cov: Array) -> tuple[Array, Array]:
-    """Changes of means (M, r) and covariances (M, r, r), whitened by the roots of these."""
+    """Changes of means (M, r) and covariances (M, r, r), whitened by Cholesky factors `root`."""
     along = np.asarray(np.linalg.solve(root, mean[..., None])[..., 0])
     half = np.linalg.solve(root, cov)
     return along, np.asarray(np.linalg.solve(root, half.swapaxes(-1, -2)))

@@ -1,4 +1,4 @@
-"""Parameters of a robot file that can be learned: named groups of its numbers."""
+"""Learnable parameters of a robot file: named groups of its numbers."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class Parameter:
 
     Attributes:
         label: Name of the parameter.
-        path: Keys that lead to the vector.
-        entries: Entries of the vector; none for a number.
-        unit: With a unit, entries are shifted by multiples of it instead of scaled.
-        likewise: Keys of other vectors whose entries change together with these.
+        path: Keys of the vector in the document.
+        entries: Indices of the entries; empty for a number.
+        unit: Unit in which the entries are shifted; None if they are scaled instead.
+        likewise: Keys of other vectors whose entries change by the same factor or shift.
     """
 
     label: str
@@ -47,12 +47,12 @@ class Parameter:
         return np.array([np.take(_follow(document, p), self.entries or 0) for p in paths])
 
     def of(self, document: Document) -> float:
-        """The number, or the mean of the entries: geometric where they are scaled."""
+        """Mean of the entries: geometric if they are scaled."""
         values = self._values(document)
         return float(np.exp(np.mean(np.log(values))) if self.unit is None else np.mean(values))
 
     def is_sound(self, document: Document) -> bool:
-        """Whether all entries are above zero, which scaling requires."""
+        """Whether all entries are positive, as scaling requires."""
         return self.unit is not None or bool(np.all(self._values(document) > 0.0))
 
     def move(self, document: Document, x: float) -> None:
@@ -76,7 +76,7 @@ def _follow(document: Any, path: Sequence[str | int]) -> Any:
 
 
 def expanded(document: Document) -> Document:
-    """A copy in which every pair [linear, angular] is written out by component."""
+    """Copy of a document in which every pair [linear, angular] is expanded by component."""
     out = copy.deepcopy(document)
     for table in (out["prior"], out.get("base", {})):
         for key, value in table.items():
@@ -101,12 +101,12 @@ def _six(value: Sequence[float]) -> list[float]:
 
 
 def learnable(document: Document, kinds: Sequence[str], *, alike: bool = False) -> list[Parameter]:
-    """The parameters of an expanded document that sensors of some kinds can teach.
+    """Learnable parameters of an expanded document.
 
     Args:
         document: Robot file, see `expanded`.
-        kinds: Kinds of the sensors, whose noise can be learned.
-        alike: Whether all segments share a factor, as if built in the same way.
+        kinds: Kinds of the sensors whose noise can be learned.
+        alike: Whether all segments share one factor, as segments of equal construction.
     """
     return [p for p in _all(document, kinds, alike) if p.is_sound(document)]
 
@@ -152,7 +152,7 @@ def _all(document: Document, kinds: Sequence[str], alike: bool) -> Iterator[Para
 
 
 def _by_segment(name: str, paths: list[tuple[str | int, ...]], alike: bool) -> Iterator[Parameter]:
-    """Bending and torsion of every segment, or of all together."""
+    """Bending and torsion of every segment, or of all segments jointly."""
     numbers = [f" {i + 1}" for i in range(len(paths))] if len(paths[0]) > 2 else [""]
     for number, path in [("", paths[0])] if alike else zip(numbers, paths, strict=True):
         for part in ("bending", "torsion"):
@@ -161,7 +161,7 @@ def _by_segment(name: str, paths: list[tuple[str | int, ...]], alike: bool) -> I
 
 
 def _rest(document: Document) -> Iterator[Parameter]:
-    """Curvature of the rest shape, where it is given by segment."""
+    """Curvature of the rest shape, if the document states it by segment."""
     for key, unit, label in (
         ("rest_strain", 1.0, "rest curvature"),
         ("rest_slope", 5.0, "rest curvature's slope"),
@@ -174,7 +174,7 @@ def _rest(document: Document) -> Iterator[Parameter]:
 
 
 def _weights(document: Document) -> Iterator[Parameter]:
-    """What bends a rod by its weight; only their ratio to the stiffness shows, which is held."""
+    """Masses that bend a rod by weight; the stiffness is fixed, as only ratios are observable."""
     mechanics = document.get("mechanics", {})
     if document["prior"]["kind"] != "mechanical" or not any(mechanics.get("gravity", [])):
         return
@@ -187,7 +187,7 @@ def _weights(document: Document) -> Iterator[Parameter]:
 
 
 def moved(document: Document, parameters: Sequence[Parameter], x: Array) -> Document:
-    """A copy of an expanded document with every parameter moved by its entry of x (P,)."""
+    """Copy of an expanded document with every parameter moved by its entry of x (P,)."""
     out = copy.deepcopy(document)
     for parameter, value in zip(parameters, x, strict=True):
         parameter.move(out, float(value))

@@ -1,8 +1,8 @@
-"""Frames and mounts of a laboratory, from a recording with both truth and sensors.
+"""Joint calibration of frames and mounts, from a recording with both truth and sensors.
 
-Mounts of the truth's bodies and of the sensors are estimated together with the shape. Estimated
-afterwards, from errors against truth as `predict` does, a mount of the truth would absorb the
-effect of a wrong sensor mount.
+Mounts of the truth's bodies and of the sensors are estimated jointly with the shape. If the truth's
+were estimated afterwards, from errors against truth as `predict` does, they would absorb the effect
+of a wrong sensor mount.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from glissando.solver.gauss_newton import SolverOptions
 
 _OF_A_RECORDING = ("time_offset", "bias")  # kinds that differ between recordings
 _PRIOR_STD = {"frame": (3e-3, 0.01), "mount": (2e-3, 0.05)}  # m, rad: of the truth's constants
-_LATE = 0.02  # s: standard deviation of the truth's delay
-_OPTIONS = SolverOptions(25, tolerance=1.0, settled=5)  # then weights would wander with delays
+_LATE = 0.02  # s: prior standard deviation of the truth's delay
+_OPTIONS = SolverOptions(25, tolerance=1.0, settled=5)  # later, weights would drift with delays
 
 
 def locate(
@@ -45,19 +45,20 @@ def locate(
     use: Sequence[str],
     truth: Sequence[str],
 ) -> tuple[Document, tuple[SensorParameter, ...], dict[str, Array], Start]:
-    """Estimate the constants of sensors and truth together with the shape.
+    """Estimate the constants of sensors and truth jointly with the shape.
 
     Args:
-        document: The robot file. Its parameters that drift, delays and biases stay as they are.
-        recording: A recording with both.
+        document: The robot file. Its delays, biases and drifting parameters stay unchanged.
+        recording: A recording with sensors and truth.
         window: First and last time, s.
         use: Names of the sensors.
-        truth: Names of the truth streams, which share a frame and a delay here and have the noise
-            that the robot file states for such a sensor.
+        truth: Names of the truth streams. They share a frame and a delay, and have the noise that
+            the robot file states for sensors of their kind.
 
     Returns:
-        The robot file with its sensors' constants known, the truth's constants as known, the
-        standard deviations of all that was found, by name, and a start for the window's estimate.
+        The robot file with its sensors' constants fixed at the estimate, the truth's constants
+        likewise, standard deviations of all estimated parameters by name, and an initial guess for
+        the window's estimate.
     """
     robot = parse_robot(Table(document, "located", GlissandoError))
     sensors, bodies = (recording.readings(names, robot, window)[0] for names in (use, truth))
@@ -65,7 +66,7 @@ def locate(
     readings = while_moving([*sensors, *bodies], bodies)
     std = np.array([_LATE])
     constants += [SensorParameter("truth delay", "time_offset", tuple(truth), np.zeros(1), std)]
-    shift = 2.0 * _LATE  # no reading may be moved off the grid
+    shift = 2.0 * _LATE  # margin, so that a delay moves no reading off the grid
     start, stop = window[0] + shift, window[1] - shift
     inner = [r.select((r.time > start) & (r.time < stop)) for r in readings]
     if not all(any(len(r) for r in inner if r.name in names) for names in (use, truth)):
@@ -91,21 +92,21 @@ def locate(
         if constant and not parameter.known and parameter.name in found:
             entry["value"] = estimated(parameter).value.tolist()
             del entry["std"]
-    uncertain = [p for p in parameters if p.name in found]  # streams of others are not there
+    uncertain = [p for p in parameters if p.name in found]  # others have no stream here
     deviations = {p.name: _std(posterior, p.name) for p in uncertain}
     return known, tuple(map(estimated, constants)), deviations, Start.of(posterior)
 
 
 def _std(posterior: Posterior, name: str) -> Array:
-    """Standard deviations of a sensor parameter half-way through."""
+    """Standard deviations of a sensor parameter at the middle time node."""
     _, cov = posterior.parameter(name)
     return np.sqrt(np.diagonal(cov[len(cov) // 2]))
 
 
 def while_moving(readings: Sequence[Readings], truth: Sequence[Readings]) -> list[Readings]:
-    """Readings from those stretches of time in which any truth has moved.
+    """Readings from those intervals of APART seconds in which any truth stream has moved.
 
-    A robot at rest would give drifts, and the prior's pull on that one shape, the weight of
+    Many readings at one shape would give drifts and the prior's bias at that shape the weight of
     constants.
 
     Args:
@@ -117,16 +118,16 @@ def while_moving(readings: Sequence[Readings], truth: Sequence[Readings]) -> lis
 
 
 def lasting(constants: Sequence[SensorParameter]) -> tuple[SensorParameter, ...]:
-    """The constants that hold for other recordings as well."""
+    """Constants that hold for other recordings as well: all but delays and biases."""
     return tuple(c for c in constants if c.kind not in _OF_A_RECORDING)
 
 
 def without_constants(document: Document, truth: Sequence[str]) -> Document:
-    """The robot file without frame and mounts of truth that an earlier learning found.
+    """Robot file without the truth's frame and mounts of an earlier calibration.
 
     Args:
         document: The robot file.
-        truth: Names of the truth streams, whose constants are found anew.
+        truth: Names of the truth streams, whose constants are estimated again.
     """
     found = {"truth frame", *(f"{name} mount" for name in truth)}
 

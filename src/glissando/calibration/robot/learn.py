@@ -1,8 +1,8 @@
-"""Learning the numbers of a robot file from recordings: densities, time scales, noise.
+"""Learning the parameters of a robot file from recordings: densities, time scales, noise.
 
-Numbers are scaled by exponentials, so they stay positive, with a prior around their start whose
-standard deviation is a factor of three: a number that the recordings do not determine stays there.
-A document that cannot be estimated has a bad objective.
+Parameters are scaled by exponentials, so they stay positive. The prior on a parameter's logarithm
+has its mean at the initial value and the standard deviation ln 3: a parameter that the recordings
+do not determine keeps its value. A step to a robot file that cannot be estimated is rejected.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from glissando.geometry.se3 import Array
 from glissando.model.sensors.parameters import SensorParameter
 
 Watch = Callable[[float, float, float], None]
-"""Called with how many steps are done, the objective and how many are expected in all."""
+"""Called with steps done, log posterior per degree of freedom, and steps expected in all."""
 
 
 class End(Enum):
-    """How a search has ended."""
+    """Reason for which a search ended."""
 
     SETTLED = "no step promises more"
     LAST_STEP = "it has taken the steps it may and would go on; run it again with more"
@@ -48,13 +48,13 @@ class Learned:
         document: The robot file.
         parameters: The parameters that were learned.
         moved: Logarithm of each parameter's factor (P,), or its shift in units.
-        std: Standard deviation of that (P,), the others unknown as well; ln 3 where nothing was
-            learned.
-        before: Score of the robot file at the start.
-        after: Score of the learned one.
+        std: Marginal standard deviations (P,) of `moved`; ln 3, as in the prior, for a parameter
+            that the data do not determine.
+        before: Score of the initial robot file.
+        after: Score of the learned robot file.
         steps: Number of steps.
-        end: How the search has ended.
-        at_bounds: Names of numbers that went as far as any may.
+        end: Reason for which the search ended.
+        at_bounds: Labels of parameters that reached the bound of the search.
     """
 
     document: Document
@@ -79,21 +79,21 @@ def learn(
     steps: int = 20,
     watch: Watch | None = None,
 ) -> Learned:
-    """Learn the parameters of an expanded document from cases.
+    """Learn the parameters of an expanded document from recordings.
 
     Args:
-        document: The robot file to start from, see `expanded`.
+        document: Initial robot file, see `expanded`.
         parameters: The parameters to learn.
-        cases: The data.
+        cases: Windows of recordings.
         calibrate: Whether frame and mounts of the truth are calibrated, starting from `constants`.
         constants: Frame and mounts of the truth, and its delays in the first case.
-        start: Where the estimate of the first case starts.
-        steps: Number of steps at most.
-        watch: Called on the way, and after each step.
+        start: Initial guess of the first case's estimate.
+        steps: Maximum number of steps.
+        watch: Called during and after each step, see `Watch`.
 
     Raises:
-        GlissandoError: The robot file to start from cannot be estimated, or processes cannot start.
-        KeyboardInterrupt: Ctrl-C came before the first step was done.
+        GlissandoError: The initial robot file cannot be estimated, or processes cannot start.
+        KeyboardInterrupt: Ctrl-C was pressed before the first step was complete.
     """
     parameters = list(parameters)
     objective = Objective(cases, calibrate)
@@ -114,12 +114,12 @@ def learn(
 
 
 class _Progress:
-    """Steps of a search, and what is said of them.
+    """Progress of a search, as reported to the caller.
 
     Attributes:
         search: The search.
-        most: Steps at most.
-        count: Steps that are done.
+        most: Maximum number of steps.
+        count: Number of steps done.
     """
 
     def __init__(self, search: Search, most: int, watch: Watch | None) -> None:
@@ -127,15 +127,18 @@ class _Progress:
         self._watch, self._share = watch, 0.0
 
     def tell(self, part: float = 0.0) -> None:
-        """Say that a part of the next step is done; the share of all never falls."""
+        """Report a fraction of the next step; the overall fraction done never decreases."""
         if self._watch is not None:
             done, expected = self.count + part, min(self.count + self.search.left, self.most)
-            self._share = max(self._share, done / expected)  # what is expected may grow
+            self._share = max(self._share, done / expected)  # the expected number may grow
             self._watch(done, -self.search.value, done / self._share)
 
 
 def _searched(progress: _Progress, pool: Executor) -> End:
-    """Take steps until the search ends; how it did. After a first step nothing found is lost."""
+    """Take steps until the search ends; return the reason.
+
+    After the first step, interrupts and broken processes end the search and its result is kept.
+    """
     search = progress.search
     try:
         while progress.count < progress.most:

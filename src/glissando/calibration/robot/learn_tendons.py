@@ -1,10 +1,10 @@
 """Learn a tendon robot from displacements of its tendons and positions of a marker at its tip.
 
-Numbers of the robot are found by robust least squares with a prior about the robot file they start
-from; derivatives are those of the equilibrium, so that a step costs one solution a shape. The model
-error is that of runs left out: blocks of the recording are predicted from the others in turn. The
-numbers without each block say how well the numbers are known, and of what the marker cannot tell,
-such as how its tracker is turned against a rod bent at rest, the prior does.
+The robot's parameters are estimated by robust least squares with a prior at the initial robot file.
+Derivatives are those of the equilibrium, so a step costs one solution per shape. The model error is
+estimated by cross-validation: each block of the recording is predicted from the others. The spread
+of the parameters without each block is their uncertainty; for directions that the marker does not
+observe, such as a rotation of its tracker against a rod bent at rest, the prior is.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ from glissando.model.quantiles import chi_square_quantile
 from glissando.model.robot import Robot
 from glissando.model.tendons.equilibrium import Equilibrium
 
-_TAILS = 4.0  # degrees of freedom of Student's t: tendons slip and are set anew
-_SCALE = 0.02  # of the robot's length: standard deviation of errors while numbers are learned
-_BLOCKS, _RUNS = 6, 36  # of a recording, and runs of few patterns that are dealt out to them
-_AT_REST, _IDLE = 0.2, 0.3  # of the largest displacement: below it a row, or a tendon, hardly moves
-_MOST = 700  # rows that numbers are learned from
+_TAILS = 4.0  # degrees of freedom of Student's t: tendons slip and are adjusted
+_SCALE = 0.02  # of the robot's length: standard deviation of errors in the fit
+_BLOCKS, _RUNS = 6, 36  # blocks of a recording; time intervals dealt to them if patterns are few
+_AT_REST, _IDLE = 0.2, 0.3  # of the largest displacement: threshold of a row, and of a tendon
+_MOST = 700  # largest number of rows in a fit
 _STEPS = 25
-_ENOUGH = 0.5  # fall of the cost, and what a step promises of it, at which to stop
-_GIVE_UP = 1e6  # damping
-_FAR = 30.0  # times as far as predicted, or as little: the tip is in another unit
-_SHAPES, _NUDGE = 24, 1e-2  # at which it is judged what moves the robot, and by how much
-_TOLD = 0.999  # of the squares of what is left open
-_COVERED, _ELLIPSOID = 0.96, 0.95  # motions to come combine more than those left out do
+_ENOUGH = 0.5  # decrease of the cost, actual and predicted, below which the iteration ends
+_GIVE_UP = 1e6  # damping at which the iteration ends
+_FAR = 30.0  # ratio of actual to predicted motion of the tip that indicates another unit
+_SHAPES, _NUDGE = 24, 1e-2  # shapes at which motion of the robot is compared; step of differences
+_TOLD = 0.999  # share of the squared motion that the kept directions explain
+_COVERED, _ELLIPSOID = 0.96, 0.95  # coverage is higher, as future motions combine more patterns
 
 Watch = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class TendonData:
-    """Displacements of tendons and where the marker at the tip was.
+    """Displacements of tendons and positions of the marker at the tip.
 
     Attributes:
         displacement: Displacements (M, T) in the order of time, positive when pulled, m.
         tip: Positions (M, 3) of the marker in the frame of its tracker, m.
-        block: Which run each row belongs to (M,); runs are left out together.
+        block: Block number of each row (M,) for cross-validation.
     """
 
     displacement: Array
@@ -55,10 +55,10 @@ class TendonData:
 
     @staticmethod
     def of(displacement: Array, tip: Array, block: NDArray[np.intp] | None = None) -> TendonData:
-        """Checked data; without `block` what pulls alike is left out together, in six blocks.
+        """Check data; without `block`, rows are grouped by similar displacements into six blocks.
 
         Raises:
-            RecordingError: Rows differ in number, or are too few to learn from.
+            RecordingError: The numbers of rows differ, or are too small.
         """
         if len(displacement) != len(tip) or len(tip) < 10 * _BLOCKS:
             raise RecordingError(
@@ -74,9 +74,9 @@ class LearnedTendons:
 
     Attributes:
         robot: The robot, with its model error.
-        rmse: Root mean square error of the tip (m) on the rows learned from.
-        held_out_rmse: That of the blocks left out, each predicted from the others.
-        held_out: Errors (M, 3) of the blocks left out, m.
+        rmse: Root mean square error of the tip (m), fitted to all blocks.
+        held_out_rmse: Root mean square error of the blocks (m), each predicted from the others.
+        held_out: Errors (M, 3) of the blocks, each predicted from the others, m.
     """
 
     robot: Robot
@@ -89,14 +89,14 @@ def learn_tendons(robot: Robot, data: TendonData, watch: Watch | None = None) ->
     """Learn stiffness, rest shape, channels, slack, elasticity, play and the model error.
 
     Args:
-        robot: Robot with [mechanics] and [tendons] to start from; the sensor parameters of kind
-            frame and mount of its stream "tip" say where the marker and its tracker are expected.
-        data: What was recorded.
+        robot: Initial robot with [mechanics] and [tendons]; the sensor parameters of kind frame and
+            mount of its stream "tip" are the prior means for the marker and its tracker.
+        data: Displacements and positions.
         watch: Called with a sentence after each step.
 
     Raises:
-        RecordingError: The recording has another number of tendons, or the tip moves as it would
-            in another unit.
+        RecordingError: The recording has another number of tendons than the robot, or the scale of
+            the tip's motion indicates another unit.
     """
     model = _turned(TendonModel.of(robot, data.displacement.shape[1]), data)
     _require_unit(model, data)
@@ -119,9 +119,9 @@ def learn_tendons(robot: Robot, data: TendonData, watch: Watch | None = None) ->
 
 
 def _blocks(displacement: Array) -> NDArray[np.intp]:
-    """Six blocks of commands (M, T) which pull the same tendons the same way.
+    """Block numbers (M,), of six blocks; rows that move the same tendons the same way share one.
 
-    Rows near rest go with those before them. Of few patterns, blocks are stretches of time.
+    Rows near rest join the block before. With few patterns, blocks are interleaved time intervals.
     """
     size = np.abs(displacement).max(axis=1)
     moved = size > _AT_REST * np.quantile(size, 0.95)
@@ -136,7 +136,7 @@ def _blocks(displacement: Array) -> NDArray[np.intp]:
 
 
 def _errors(model: TendonModel, numbers: Numbers, data: TendonData) -> Array:
-    """Measured less predicted positions (M, 3), tracker's frame."""
+    """Measured minus predicted positions (M, 3) in the tracker's frame."""
     return data.tip - model.tip(numbers, model.reached(numbers, data.displacement))[0]
 
 
@@ -146,7 +146,7 @@ def spread(positions: Array) -> float:
 
 
 def _require_unit(model: TendonModel, data: TendonData) -> None:
-    """Raise RecordingError where the tip moves a thousandth of what is predicted, or a thousand."""
+    """Raise RecordingError if the tip moves `_FAR` times more or less than predicted."""
     moved, predicted = spread(data.tip), spread(data.tip - _errors(model, model.start(), data))
     if not predicted / _FAR < moved < predicted * _FAR:
         raise RecordingError(
@@ -157,7 +157,7 @@ def _require_unit(model: TendonModel, data: TendonData) -> None:
 
 
 def _turned(model: TendonModel, data: TendonData) -> TendonModel:
-    """The model with the tracker turned about the robot's axis as fits best."""
+    """Model with the best of twelve rotations of the tracker about the robot's axis."""
     rows = np.unique(np.linspace(0, len(data.tip) - 1, 100).astype(int))
     few = replace(data, displacement=data.displacement[rows], tip=data.tip[rows])
     turns = [model.turned(angle) for angle in np.arange(12) * np.pi / 6.0]
@@ -168,7 +168,7 @@ def _turned(model: TendonModel, data: TendonData) -> TendonModel:
 def _fit(
     model: TendonModel, start: Numbers, data: TendonData, use: Array, name: str, say: Watch
 ) -> Numbers:
-    """Levenberg–Marquardt on Student's t of the tip's errors and the prior of the numbers."""
+    """Fit the rows `use` by Levenberg–Marquardt, with Student's t errors of the tip and a prior."""
     rows = _thinned(np.flatnonzero(use), _MOST)
     sigma, info_prior = _SCALE * model.robot.length, model.std**-2.0
 
@@ -201,7 +201,7 @@ def _fit(
 
 
 def _thinned(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Every so manieth of some rows, that there are no more than so many."""
+    """Rows at a regular stride, `most` at most."""
     return rows[:: max(1, -(-len(rows) // most))]
 
 
@@ -212,7 +212,7 @@ def _normal_equations(
     rows: NDArray[np.intp],
     at: tuple[Array, Equilibrium],
 ) -> tuple[Array, Array]:
-    """Information (n, n) and right-hand side (n,) at `at`, scaled errors and shapes of the rows."""
+    """Information (n, n) and right-hand side (n,), given scaled errors and shapes `at` of rows."""
     error, shape = at
     slope = model.slope(numbers, data.displacement, rows, shape) / (_SCALE * model.robot.length)
     root = np.sqrt((_TAILS + 3.0) / (_TAILS + np.sum(error**2, axis=1)))[:, None, None]
@@ -223,11 +223,11 @@ def _normal_equations(
 
 
 def _left_open(model: TendonModel, numbers: Numbers, data: TendonData) -> list[Numbers]:
-    """The numbers a standard deviation away along each way of which the prior alone decided.
+    """Numbers displaced by one standard deviation along each direction left to the prior.
 
-    Had the prior's mean been elsewhere by Δ, the numbers would be by A⁻¹ P⁻¹ Δ, with A the
-    information and P the prior's covariance. Kept are the ways that move the robot most, in its own
-    frame: marker and tracker do not.
+    A change Δ of the prior's mean changes the numbers by A⁻¹ P⁻¹ Δ, with A the information and P
+    the prior's covariance. The directions that move the robot most in its own frame are kept; those
+    of the marker and its tracker do not move it.
     """
     rows = _thinned(np.arange(len(data.tip)), _MOST)
     tip, shape = model.tip(numbers, model.reached(numbers, data.displacement)[rows])
@@ -237,7 +237,7 @@ def _left_open(model: TendonModel, numbers: Numbers, data: TendonData) -> list[N
     few = _thinned(np.arange(len(rows)), _SHAPES)
 
     def body(moved: Numbers) -> Array:
-        """Positions where pieces meet, in the robot's own frame, in a row."""
+        """Flattened positions of the ends of pieces, in the robot's own frame."""
         pulled = model.reached(moved, data.displacement)[rows[few]]
         return model.shapes(moved, pulled, shape.strain[few]).pose()[..., :3, 3].ravel()
 
@@ -249,9 +249,9 @@ def _left_open(model: TendonModel, numbers: Numbers, data: TendonData) -> list[N
 
 
 def _model_error(model: TendonModel, numbers: Numbers, data: TendonData, error: Array) -> Array:
-    """The model error (3,) that explains errors (M, 3) of blocks left out.
+    """Model error (3,) from cross-validation errors (M, 3) of the tip.
 
-    Its parts (displacements, missing moments, the marker) make the errors most likely under
+    Its parts (displacements, missing moments, marker) maximise the likelihood of the errors under
     Student's t; all are then scaled so that 96 % of the errors lie inside their 95 % ellipsoid.
     """
     parts = np.stack(model.error_parts(numbers, data.displacement))

@@ -1,7 +1,7 @@
-"""What learning makes most likely: readings, or truth given an estimate from them.
+"""Objective of learning: likelihood of the readings, or of truth given an estimate from them.
 
-The objective is the Laplace log marginal likelihood of the readings (equation 22) or, where truth
-is given, its predictive log-likelihood.
+The objective is the Laplace log marginal likelihood of the readings (equation 22) or, if there is
+truth, the predictive log-likelihood of truth.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from glissando.model.table import Table
 from glissando.solver.gauss_newton import SolverOptions
 
 _TIGHT = SolverOptions(max_iterations=20, tolerance=1.0)
-_AWAY = 1e9  # stretches of time between two cases
+_AWAY = 1e9  # offset between the interval numbers of two cases
 _ONE_STEP = SolverOptions(max_iterations=1, tolerance=np.inf)
 
 
 @dataclass(frozen=True)
 class Centre:
-    """A robot file that was scored, and where estimates of files about it start.
+    """Score of a robot file, and initial guesses for estimates with similar files.
 
     Attributes:
-        score: The score; of a file that was not scored, only its constants count.
-        starts: A start for each case.
+        score: The score; only its constants are defined if the file has not been scored.
+        starts: Initial guess for each case.
     """
 
     score: Score
@@ -50,10 +50,10 @@ class Centre:
 
 @dataclass(frozen=True)
 class Objective:
-    """Log-likelihood per degree of freedom of truth, else of the readings, in cases.
+    """Log-likelihood per degree of freedom of truth or, without truth, of the readings.
 
     Attributes:
-        cases: The cases.
+        cases: Windows of recordings.
         calibrate: Whether frame and mounts of the truth are calibrated.
     """
 
@@ -63,7 +63,7 @@ class Objective:
     def start(
         self, constants: tuple[SensorParameter, ...] = (), first: Start | None = None
     ) -> Centre:
-        """Where to start from, with constants of the truth and a start for the first case."""
+        """Initial centre, with constants of the truth and an initial guess for the first case."""
         unknown = Score(np.nan, 0, 0.0, constants)
         return Centre(unknown, [first or Start(), *[Start()] * (len(self.cases) - 1)])
 
@@ -72,8 +72,9 @@ class Objective:
 
         Args:
             document: Robot file.
-            about: Where its estimates start.
-            beside: Whether a step from there suffices: to first order in how far the file is.
+            about: Centre at whose estimates the iterations start.
+            beside: Whether to take a single Gauss–Newton step from there, which is exact to first
+                order in the change of the file.
 
         Raises:
             GlissandoError: If the robot file is wrong or cannot be estimated.
@@ -91,7 +92,7 @@ class Objective:
                 options,
                 initial=start.state,
                 initial_parameters=start.sensor_parameters,
-                dates=False,  # which changes what is predicted by less than a step gains
+                dates=False,  # changes predictions by less than the gain of a step
             )
             for case, each, start in zip(self.cases, readings, about.starts, strict=True)
         ]
@@ -109,9 +110,9 @@ class Objective:
         truths: Sequence[list[Readings]],
         constants: tuple[SensorParameter, ...],
     ) -> Score:
-        """Score of the truth of all cases; constants are calibrated on the longest one.
+        """Score of the truth of all cases; constants are calibrated on the case with most samples.
 
-        Delays of the truth are those of the first case, and count for no other.
+        Delays of the truth in `constants` are the first case's and are not used for the others.
         """
         longest = max(range(len(truths)), key=lambda i: sum(map(len, truths[i])))
         if self.calibrate:

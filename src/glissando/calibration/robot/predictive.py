@@ -1,7 +1,7 @@
 """Predictive log-likelihood of truth given an estimate, with the truth's frame and mounts.
 
-The frame of the truth and the mounts of its bodies are seldom known well; they are calibrated as
-the constants under which the truth is most likely given the estimate.
+The frame of the truth and the mounts of its bodies are seldom known well; they are calibrated by
+maximising the likelihood of the truth given the estimate.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from glissando.model.sensors.parameters import SIZES, SensorParameter, corrected
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 
-_PRIOR_STD = {"frame": (0.005, 0.03), "mount": (0.005, 0.05)}  # m, rad: how far off it may be
-_ROUNDS = 2  # Gauss-Newton steps towards the constants, from those of the last evaluation
+_PRIOR_STD = {"frame": (0.005, 0.03), "mount": (0.005, 0.05)}  # m, rad
+_ROUNDS = 2  # Gauss–Newton steps on the constants, from those of the last evaluation
 APART = 0.5
-"""Seconds between samples that count: closer ones are correlated."""
-_MOVED = 5e-3, 0.05  # m, rad: motion of a body between samples that count
+"""Length of the intervals, s, of which one sample each is used: closer samples are correlated."""
+_MOVED = 5e-3, 0.05  # m, rad: least motion of a body between samples that are used
 
 
 Predicted = tuple[Array, Array]
@@ -39,11 +39,12 @@ class Score:
     Attributes:
         value: Log-likelihood per degree of freedom.
         samples: Degrees of freedom.
-        independent: Degrees of freedom that are independent; all places of a robot err together.
+        independent: Effective number of independent degrees of freedom, if the errors of all
+            streams within an interval are fully correlated.
         constants: Frame, mounts and delays of the truth.
-        predicted: The samples of truth, by stream; none of readings.
-        moments: The number of the stretch of APART seconds that each sample is of (M,), by stream;
-            those of other cases are far apart.
+        predicted: Residuals and covariances of truth, by stream; empty for the evidence.
+        moments: Indices (M,) of the samples' intervals of APART seconds, by stream; numbers of
+            different cases are far apart.
     """
 
     value: float
@@ -56,10 +57,10 @@ class Score:
 
 @dataclass(frozen=True)
 class Start:
-    """Where an estimate starts: what is kept of an earlier one.
+    """Initial guess of an estimate, from an earlier estimate.
 
     Attributes:
-        state: Nodes (K, N).
+        state: States (K, N) of the nodes, or None for the default initial guess.
         sensor_parameters: Sensor parameters with their values (K, size).
     """
 
@@ -68,12 +69,12 @@ class Start:
 
     @staticmethod
     def of(posterior: Posterior) -> Start:
-        """What is kept of an estimate."""
+        """Initial guess from a posterior."""
         return Start(posterior.state, posterior.sensor_parameters)
 
 
 def constants_of(truth: Sequence[Readings]) -> tuple[SensorParameter, ...]:
-    """A frame for all truth streams and a mount for each, expected to be the identity."""
+    """A frame for all truth streams and a mount for each, at the identity."""
     names = tuple(t.name for t in truth)
     made = [("truth frame", "frame", names)]
     made += [(f"{name} mount", "mount", (name,)) for name in names]
@@ -93,8 +94,8 @@ def predict(
     Args:
         posterior: The estimate.
         truth: Truth streams.
-        constants: Their frame, mounts and delays.
-        free: Whether frame and mounts are calibrated first; delays never are.
+        constants: Frame, mounts and delays of the truth streams.
+        free: Whether frame and mounts are calibrated first; delays are fixed.
     """
     moving = [c for c in constants if c.moves]
     inside = [corrected(t, moving).inside(posterior.grid) for t in truth]
@@ -115,10 +116,10 @@ def predict(
 
 
 def informative(truth: Sequence[Readings]) -> list[Readings]:
-    """The first moments of those stretches of time in which the robot has moved.
+    """Select the first samples of those intervals of APART seconds in which the robot has moved.
 
-    Repeated samples of a robot at rest are correlated and would count for too much. While it moves,
-    errors change everywhere, also at its base, where nothing does.
+    Repeated samples of a robot at rest are correlated and would be weighted too much. Motion of any
+    stream counts for all, because errors change everywhere, even at a base at rest.
 
     Args:
         truth: The truth streams of one robot.
@@ -129,22 +130,22 @@ def informative(truth: Sequence[Readings]) -> list[Readings]:
 
 
 def in_motion(truth: Sequence[Readings]) -> Array:
-    """Numbers of the stretches of APART seconds in which a truth stream has moved at any place.
+    """Indices of the intervals of APART seconds in which any truth stream has moved.
 
     Args:
-        truth: Truth streams; positions cannot be compared and all count as moved.
+        truth: Truth streams; streams other than poses are not compared and always count as moved.
     """
     return np.unique(np.concatenate([np.zeros(0), *(_moved_in(t) for t in truth if len(t))]))
 
 
 def _begins_stretch(truth: Readings) -> NDArray[np.bool_]:
-    """Whether a sample belongs to the first moment of its stretch (M,)."""
+    """Whether each sample (M,) is at the first time of its interval."""
     starts = truth.time[np.diff(truth.time // APART, prepend=-np.inf) > 0.0]
     return np.isin(truth.time, starts)
 
 
 def _moved_in(truth: Readings) -> Array:
-    """Numbers of the stretches at whose first moment a stream has moved since one before."""
+    """Indices of the intervals at whose start a stream has moved since the last one chosen."""
     chosen: list[Readings] = []
     for time in np.unique(truth.time[_begins_stretch(truth)]):
         moment = truth.select(truth.time == time)
@@ -154,7 +155,7 @@ def _moved_in(truth: Readings) -> Array:
 
 
 def _moved_between(before: Readings, after: Readings) -> bool:
-    """Whether truth has moved at any place, also where that cannot be compared."""
+    """Whether truth has moved at any arclength; True if the two cannot be compared."""
     poses = after.values.shape[1:] == (4, 4)
     if not poses or not np.array_equal(before.arclength, after.arclength):
         return True
@@ -163,14 +164,14 @@ def _moved_between(before: Readings, after: Readings) -> bool:
 
 
 def _cost(residual: Array, cov: Array) -> float:
-    """Minus log-likelihood of truth samples."""
+    """Negative log-likelihood of truth samples."""
     square = np.sum(residual * np.linalg.solve(cov, residual[..., None])[..., 0])
     log_det = np.sum(np.linalg.slogdet(cov)[1])
     return 0.5 * float(square + log_det + residual.size * np.log(2.0 * np.pi))
 
 
 def _residual(truth: Readings, at: StateEstimate) -> tuple[Array, Array]:
-    """Residual (M, r) of truth samples and its covariance (M, r, r), the truth's own included."""
+    """Residuals (M, r) of truth samples and their covariances (M, r, r), truth noise included."""
     state = State(at.pose, at.strain, at.velocity)
     jacobian = truth.jacobian(state)
     cov = jacobian @ at.cov @ np.swapaxes(jacobian, -1, -2) + truth.cov
@@ -182,7 +183,7 @@ def _improved(
     states: Sequence[StateEstimate],
     constants: tuple[SensorParameter, ...],
 ) -> tuple[SensorParameter, ...]:
-    """The constants after one Gauss-Newton step towards the most likely truth."""
+    """Constants after one Gauss–Newton step on the negative log posterior given the truth."""
     size = SIZES["frame"]
     total = size * len(constants)
     information, rhs = np.zeros((total, total)), np.zeros(total)

@@ -1,9 +1,9 @@
-"""Newton steps towards the parameters of a robot file under which data are most likely.
+"""Newton search for the maximum a posteriori parameters of a robot file.
 
-Slope and curvature take one nudge of each parameter. Where truth is predicted, its samples tell
-both (Fisher scoring): what is predicted beside the centre costs one Gauss–Newton step from the
-estimate there, as the optimum moves by that step to first order (the implicit function theorem).
-The evidence of readings is differentiated where the estimate is (average information).
+Gradient and curvature take one perturbation of each parameter. For the likelihood of truth, the
+curvature is the Fisher information (Fisher scoring); a prediction at perturbed parameters costs one
+Gauss–Newton step from the estimate at the centre, which moves the optimum correctly to first order
+(implicit function theorem). For the evidence of readings, it is the average information.
 """
 
 from __future__ import annotations
@@ -28,30 +28,30 @@ from glissando.calibration.robot.workers import nearby_changes, nearby_score
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 
-_GAIN = 1e-3  # gain a degree of freedom below which the search ends
-_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a step that are tried
-_REACH = np.log(1e4)  # how far a number may move
-_EXPECTED = 3  # steps, before the first one says how many
-_PRIOR_STD = np.log(3.0)  # of a logarithm
-_FARTHEST = np.log(10.0)  # that a step may move a number
+_GAIN = 1e-3  # predicted gain per degree of freedom below which the search ends
+_SHARES = (1.0, 0.5, 0.25, 0.125)  # step lengths of the line search
+_REACH = np.log(1e4)  # bound on the total change of a parameter
+_EXPECTED = 3  # steps expected before the first one is taken
+_PRIOR_STD = np.log(3.0)  # of a parameter's logarithm
+_FARTHEST = np.log(10.0)  # bound on the change of a parameter in one step
 
 
 @dataclass
 class Search:
-    """Newton steps down minus the log posterior of the parameters, per degree of freedom.
+    """Newton minimisation of the negative log posterior of the parameters, per degree of freedom.
 
     Attributes:
-        document: The robot file to start from.
-        parameters: What is learned.
-        objective: The objective.
-        pool: Where objectives beside the centre are evaluated.
-        processes: How many processes the pool has.
-        centre: The robot file at which the search is.
-        x: How far the parameters are moved there (P,).
-        value: Minus the log posterior there.
-        std: Standard deviation of each parameter (P,), the others unknown as well.
-        left: How many steps more are expected, by the gain that the last one promised.
-        stuck: Whether the last step promised a gain of which no part came true.
+        document: Initial robot file.
+        parameters: Parameters to learn.
+        objective: Log-likelihood to maximise.
+        pool: Executor that evaluates the objective at perturbed parameters.
+        processes: Number of processes of the pool.
+        centre: Score and estimates at the current parameters.
+        x: Current parameters (P,), relative to the initial robot file.
+        value: Negative log posterior at the current parameters.
+        std: Marginal standard deviations (P,) of the parameters.
+        left: Expected number of further steps, from the predicted gain of the last one.
+        stuck: Whether the last line search achieved no gain although one was predicted.
     """
 
     document: Document
@@ -72,10 +72,10 @@ class Search:
         self.value = self._with_prior(-self.centre.score.value, self.x)
 
     def step(self, tell: Callable[[float], None]) -> None:
-        """Take a step.
+        """Take one Newton step with line search.
 
         Args:
-            tell: Called with the part of the step that is done, after each objective.
+            tell: Called after each evaluation with the fraction of the step that is done.
         """
         slope = self.differentiate(tell)
         step = self._within_reach(slope)
@@ -89,11 +89,11 @@ class Search:
 
     @property
     def at_bounds(self) -> NDArray[np.bool_]:
-        """Which of the parameters (P,) have moved as far as any may."""
+        """Whether each parameter (P,) is at the bound of the search."""
         return np.abs(self.x) > _REACH - 1e-6
 
     def differentiate(self, tell: Callable[[float], None]) -> Array:
-        """Slope (P,) at the centre; keeps the curvature and the standard deviations there."""
+        """Gradient (P,) at the centre; also stores curvature and standard deviations."""
         by = self._by_samples if self.centre.score.predicted else self._by_evidence
         slope, curvature, noise = by(tell)
         least = float(_PRIOR_STD**-2.0 / self.independent)  # of the prior
@@ -102,10 +102,10 @@ class Search:
         return slope + least * self.x
 
     def _spread(self, noise: Array | None) -> Array:
-        """Standard deviations (P,), all parameters unknown together.
+        """Marginal standard deviations (P,).
 
-        Where the slope's own covariance (P, P) per degree of freedom is known, it is what errs: no
-        less than were all samples independent, and no more than the prior.
+        With the gradient's covariance `noise` (P, P) per degree of freedom, the sandwich covariance
+        is used, if larger than that of independent samples; the prior is an upper bound.
         """
         cov = np.linalg.inv(self._curvature) / self.independent
         variance = np.diagonal(cov)
@@ -115,7 +115,7 @@ class Search:
         return np.minimum(np.sqrt(variance), _PRIOR_STD)
 
     def _within_reach(self, slope: Array) -> Array:
-        """The Newton step (P,) among those of which no number goes farther than it may."""
+        """Newton step (P,) under bounds on each parameter."""
         root = np.linalg.cholesky(self._curvature)
         low = np.maximum(-_FARTHEST, -_REACH - self.x)
         high = np.minimum(_FARTHEST, _REACH - self.x)
@@ -123,12 +123,12 @@ class Search:
         return np.asarray(found.x)
 
     def _moved(self, nudge: float) -> list[Document]:
-        """The robot file at the centre, and with each parameter nudged."""
+        """Robot file at the centre, and with each parameter perturbed in turn."""
         points = [self.x, *(self.x + nudge * np.eye(self.x.size))]
         return [moved(self.document, self.parameters, x) for x in points]
 
     def _by_samples(self, tell: Callable[[float], None]) -> tuple[Array, Array, Array | None]:
-        """Slope (P,), expected curvature and covariance of the slope (P, P) by truth's samples."""
+        """Gradient (P,), Fisher information and covariance of the gradient (P, P), from truth."""
         documents, scores = self._moved(fisher_information.NUDGE), list[Score | None]()
         for score in self.pool.map(nearby_score, [self.centre] * len(documents), documents):
             scores.append(score)
@@ -143,7 +143,7 @@ class Search:
         return *fisher_information.slopes(centre, beside, nudge), noise
 
     def _by_evidence(self, tell: Callable[[float], None]) -> tuple[Array, Array, None]:
-        """Slope (P,) and curvature (P, P) by what the numbers change of the evidence."""
+        """Gradient (P,) and average information (P, P) of the evidence of the readings."""
         self._beside = self.value
         far, fine = average_information.NUDGE, average_information.FINE
         here = moved(self.document, self.parameters, self.x)
@@ -157,7 +157,7 @@ class Search:
         return *average_information.slopes(changes, self.centre.score.samples), None
 
     def _try(self, step: Array, *, beside: bool = False) -> bool:
-        """Whether a step is worth it, also if only to first order; if so, it is taken."""
+        """Take a step if it lowers the objective; with `beside`, evaluated to first order only."""
         x = self.x + step
         centre: Centre | None = None
         with suppress(GlissandoError, np.linalg.LinAlgError):
@@ -172,5 +172,5 @@ class Search:
         return True
 
     def _with_prior(self, value: float, x: Array) -> float:
-        """The objective with the prior about the initial values."""
+        """Objective plus the prior about the initial values."""
         return value + 0.5 * float(np.sum((x / _PRIOR_STD) ** 2)) / self.independent

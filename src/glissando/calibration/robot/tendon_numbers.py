@@ -1,4 +1,4 @@
-"""The numbers of a tendon robot that are learned: what they mean, their prior, their slopes."""
+"""Learned parameters of a tendon robot: their meaning, prior and Jacobian."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from glissando.model.tendons.tendon_rod import TendonRod, mechanical, replicate_
 from glissando.model.tendons.tendons import Tendons
 
 Numbers: TypeAlias = Array
-"""All numbers of a model as one vector: how far each is from the robot file."""
+"""Vector (n,) of all learned parameters of a model, relative to the initial robot file."""
 
 _NUDGE = 1e-5
 _BENDING, _EXTENSION = slice(3, 5), 2
@@ -30,16 +30,16 @@ _MARKER = ("frame turn", "frame shift", "mount")
 
 @dataclass(frozen=True)
 class TendonModel:
-    """What is learned of a robot, and where it starts.
+    """Parametrisation of a tendon robot about an initial robot file.
 
     Attributes:
-        robot: The robot to start from.
-        rod: It cut at its segments, or at its nodes if a channel is helical.
+        robot: Initial robot.
+        rod: Initial robot in pieces, cut at its segments, or at its nodes if a channel is helical.
         segment: Segment (P,) of each piece.
-        frame: Pose of the world in the tracker's frame (4, 4), as expected.
-        mount: Pose of the marker in the frame of the tip (4, 4), as expected.
-        where: Which numbers each name has.
-        std: Standard deviations of the numbers about the start.
+        frame: Prior mean of the world's pose in the tracker's frame (4, 4).
+        mount: Prior mean of the marker's pose in the frame of the tip (4, 4).
+        where: Slice of the numbers of each name.
+        std: Prior standard deviations (n,) of the numbers, whose prior mean is zero.
     """
 
     robot: Robot
@@ -52,7 +52,7 @@ class TendonModel:
 
     @staticmethod
     def of(robot: Robot, columns: int) -> TendonModel:
-        """The model of a robot file for recordings with so many tendons.
+        """Model of a robot for recordings with displacements of `columns` tendons.
 
         Raises:
             RecordingError: The robot has another number of tendons.
@@ -75,16 +75,16 @@ class TendonModel:
         )
 
     def start(self) -> Numbers:
-        """The numbers of the robot file."""
+        """Numbers (n,) of the initial robot: zeros."""
         return np.zeros(self.std.size)
 
     def turned(self, angle: float) -> TendonModel:
-        """The model whose tracker is expected turned by an angle about the robot's axis."""
+        """Model whose tracker's prior mean is rotated by an angle about the robot's axis, rad."""
         turn = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, angle]))
         return replace(self, frame=self.frame @ turn)
 
     def tendons(self, numbers: Numbers) -> Tendons:
-        """The tendons that the numbers describe."""
+        """Tendons with the parameters `numbers`."""
         of, before = self._part(numbers), self.rod.tendons
         ends = np.unique(before.end, return_inverse=True)[1]
         return replace(
@@ -98,7 +98,7 @@ class TendonModel:
         )
 
     def rod_of(self, numbers: Numbers) -> TendonRod:
-        """The rod that the numbers describe."""
+        """Rod with the parameters `numbers`."""
         of = self._part(numbers)
         stiffness, rest = self.rod.stiffness.copy(), self.rod.rest.copy()
         stiffness[:, _BENDING] *= np.exp(of("bending"))[self.segment, None]
@@ -114,14 +114,14 @@ class TendonModel:
         without: Sequence[Numbers] = (),
         left_open: Sequence[Numbers] = (),
     ) -> Robot:
-        """The robot that the numbers describe.
+        """Robot with the parameters `numbers`.
 
         Args:
-            numbers: The numbers.
+            numbers: Parameters (n,).
             errors: Standard deviation of displacements (m), root density of missing moments
                 (N m^3/2) and standard deviation of the marker's position (m).
-            without: The numbers without each part of what they were learned from.
-            left_open: The numbers moved along what was left to the prior.
+            without: Parameters (n,) learned without each block of the recording.
+            left_open: Parameters (n,) displaced along each direction left to the prior.
         """
         of, robot = self._part(numbers), self.robot
         before = mechanical(robot)
@@ -160,36 +160,36 @@ class TendonModel:
         )
 
     def reached(self, numbers: Numbers, displacement: Array) -> Array:
-        """Displacements (M, T), in the order of time, less the play."""
+        """Effective displacements (M, T) after play, of displacements in the order of time."""
         return self.tendons(numbers).effective(displacement)
 
     def shapes(self, numbers: Numbers, pulled: Array, start: Array | None = None) -> Equilibrium:
-        """The shapes (M,) of the robot that the numbers describe.
+        """Equilibrium shapes (M,) of the robot with the parameters `numbers`.
 
         Args:
-            numbers: The numbers.
-            pulled: Displacements (M, T) less the play.
-            start: Strains (M, P, 6) near those of the shapes.
+            numbers: Parameters (n,).
+            pulled: Effective displacements (M, T) after play, m.
+            start: Initial guess (M, P, 6) of the strains, or None.
         """
         return equilibrium(self.rod_of(numbers), displacement=pulled, start=start)
 
     def tip(
         self, numbers: Numbers, pulled: Array, start: Array | None = None
     ) -> tuple[Array, Equilibrium]:
-        """Positions (M, 3) of the marker in the tracker's frame, and the `shapes`."""
+        """Positions (M, 3) of the marker in the tracker's frame, and the equilibrium shapes."""
         shape = self.shapes(numbers, pulled, start)
         return self._seen(numbers, shape.pose()[:, -1]), shape
 
     def slope(
         self, numbers: Numbers, displacement: Array, rows: NDArray[np.intp], at: Equilibrium
     ) -> Array:
-        """∂tip/∂numbers (R, 3, numbers) at the shapes (R,) of some rows.
+        """Jacobian ∂tip/∂numbers (R, 3, n) at the shapes (R,) of some rows.
 
         Args:
-            numbers: The numbers.
-            displacement: Displacements (M, T) of all rows, play included.
-            rows: Which rows.
-            at: Their shapes.
+            numbers: Parameters (n,).
+            displacement: Displacements (M, T) of all rows before play, m.
+            rows: Indices (R,) of the rows.
+            at: Equilibrium shapes (R,) of these rows.
         """
         tip, out = at.pose()[:, -1], np.zeros((len(rows), 3, numbers.size))
         by_wrench, by_tension = self._responses(numbers, at)
@@ -215,7 +215,10 @@ class TendonModel:
         return out
 
     def error_parts(self, numbers: Numbers, displacement: Array) -> tuple[Array, Array, Array]:
-        """Covariances (M, 3, 3) of the tip by a metre of displacement, unit moments, a metre."""
+        """Covariances (M, 3, 3) of the tip by unit model errors.
+
+        The parts are 1 m of displacements, 1 N m^3/2 of missing moments and 1 m of the marker.
+        """
         _, at = self.tip(numbers, self.reached(numbers, displacement))
         turn = self._turn(numbers, at)
         slopes = at.pose_by(at.strain_by_displacement()), at.pose_by_moment()
@@ -231,7 +234,7 @@ class TendonModel:
         return np.diff([0.0, *mechanical(self.robot).mechanics.joints, self.robot.length])
 
     def _marker(self, numbers: Numbers) -> tuple[Array, Array]:
-        """Poses (4, 4) of the world in the tracker's frame, and of the marker at the tip."""
+        """Poses (4, 4) of the world in the tracker's frame, and of the marker in the tip's."""
         of, frame, mount = self._part(numbers), self.frame.copy(), self.mount.copy()
         frame[:3, :3] = frame[:3, :3] @ se3.so3_exp(of("frame turn"))
         frame[:3, 3] += of("frame shift")
@@ -239,20 +242,20 @@ class TendonModel:
         return frame, mount
 
     def _seen(self, numbers: Numbers, tip: Array) -> Array:
-        """Positions (M, 3) of the marker for poses (M, 4, 4) of the tip, tracker's frame."""
+        """Positions (M, 3) of the marker in the tracker's frame, for poses (M, 4, 4) of the tip."""
         frame, mount = self._marker(numbers)
         return np.asarray((frame @ tip @ mount)[:, :3, 3])
 
     def _turn(self, numbers: Numbers, at: Equilibrium) -> Array:
-        """∂marker/∂(pose of the tip) (M, 3, 6)."""
+        """Jacobian ∂marker/∂(pose of the tip) (M, 3, 6)."""
         frame, mount = self._marker(numbers)
         turn = frame[:3, :3] @ at.pose()[:, -1, :3, :3]
         return np.concatenate([turn, -turn @ se3.hat3(mount[:3, 3])], axis=-1)
 
     def _responses(self, numbers: Numbers, at: Equilibrium) -> tuple[Array, Array]:
-        """∂tip/∂wrench (M, 3, P, 6) left over, and ∂tip/∂tension (M, 3, T) of a misfit.
+        """Derivatives of the tip by residuals of the equilibrium: wrench and tension.
 
-        The adjoint of the equilibrium: what a change of its equations does to the tip.
+        ∂tip/∂wrench is (M, 3, P, 6), ∂tip/∂tension (M, 3, T).
         """
         turn = self._turn(numbers, at)
         by_wrench, by_tension = (turn @ at.pose_by(slope)[:, -1] for slope in at.responses())
@@ -260,7 +263,7 @@ class TendonModel:
 
 
 def _prior(tendons: Tendons, segments: int, length: float) -> dict[str, Array]:
-    """Standard deviations of the numbers by name: what a workshop leaves open."""
+    """Prior standard deviations of the numbers by name, from tolerances of manufacture."""
     radius, count = float(np.mean(tendons.radius)), len(tendons)
     return {
         "angle": np.full(count, np.deg2rad(4.0)),

@@ -1,4 +1,4 @@
-"""Processes that score robot files beside the one at which a search is."""
+"""Worker processes that evaluate the objective at perturbed robot files."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from glissando.calibration.robot.predictive import Score
 from glissando.errors import GlissandoError
 from glissando.io.atomic import new_file
 
-_objective: Objective | None = None  # of a worker process
+_objective: Objective | None = None  # set in worker processes
 
 
 def _prepare(file: Path) -> None:
     global _objective
-    _answer_interrupts(signal.SIG_IGN)  # of a terminal, while there is nothing to compute
+    _answer_interrupts(signal.SIG_IGN)  # ignore the terminal's Ctrl-C while idle
     _objective = pickle.loads(file.read_bytes())
 
 
 def _answer_interrupts(how: Any) -> None:
-    if parent_process() is not None:  # no test that prepares its own process
+    if parent_process() is not None:  # not in the main process, as in tests
         signal.signal(signal.SIGINT, how)
 
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """Ctrl-C ends what a worker computes inside, and reaches who waits for it as an error."""
+    """Let Ctrl-C interrupt the computation inside and propagate to the caller as an error."""
     _answer_interrupts(signal.default_int_handler)
     try:
         yield
@@ -48,16 +48,16 @@ def _interruptible() -> Iterator[None]:
 
 @contextmanager
 def workers(objective: Objective, count: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that evaluate an objective.
+    """Pool of processes that evaluate an objective.
 
-    It comes by a file: where a process ends before it has read its pipe, who writes waits forever.
+    The objective is passed by a file: writing to the pipe of a process that ended would block.
 
     Args:
         objective: The objective.
-        count: How many processes.
+        count: Number of processes.
 
     Raises:
-        GlissandoError: The processes ended.
+        GlissandoError: A process ended unexpectedly.
     """
     with TemporaryDirectory() as folder:
         file = Path(folder) / "objective"
@@ -74,7 +74,7 @@ def workers(objective: Objective, count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def nearby_score(about: Centre, document: Document) -> Score | None:
-    """Score of a robot file about another one, in a worker; None if it cannot be estimated."""
+    """Score a perturbed robot file in a worker, to first order; None if it cannot be estimated."""
     assert _objective is not None
     try:
         with _interruptible():
@@ -87,12 +87,12 @@ def nearby_score(about: Centre, document: Document) -> Score | None:
 def nearby_changes(
     about: Centre, document: Document, beside: Sequence[tuple[Document, ...]]
 ) -> list[Change | None]:
-    """What changes from one robot file to others, in a worker; None where there is no estimate.
+    """Derivatives of the evidence by parameters, in a worker; None where there is no estimate.
 
     Args:
-        about: What is known of the file.
-        document: The file.
-        beside: It with one parameter nudged, as `EvidenceAt.change` takes it, each.
+        about: Centre with the estimates of the file.
+        document: Robot file at the centre.
+        beside: For each parameter, the files with it perturbed, as taken by `EvidenceAt.change`.
     """
     assert _objective is not None
     changes: list[Change | None] = [None] * len(beside)
