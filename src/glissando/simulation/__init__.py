@@ -1,6 +1,6 @@
-"""Independent physics: what a robot with a sliding sensor does, and what its sensors would say.
+"""Physical simulation of a robot with a sliding sensor, and of its sensors' readings.
 
-Nothing here knows the estimator's priors, so that an estimate can be judged on it.
+The simulator is independent of the estimator's priors, so that estimates can be tested with it.
 """
 
 from glissando.errors import NoShapeError, SimulationError

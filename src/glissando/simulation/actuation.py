@@ -1,4 +1,4 @@
-"""What pulls on a robot over time, as shapes of robot files and files of their own say."""
+"""Tendon tensions and loads over time, from shapes of robot files or from TOML files."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from glissando.simulation.rod import Loads, Wrench
 
 @dataclass(frozen=True)
 class Actuation:
-    """What pulls on a robot over time; between two times tensions change as 3x² − 2x³.
+    """Tendon tensions over time with constant loads; tensions are interpolated by 3x² − 2x³.
 
     Attributes:
         time: Times (K,), s.
         tensions: Tension of every tendon at these times (K, T), N.
-        gravity: Gravity (3,), m/s².
+        gravity: Gravity (3,) in the world frame, m/s².
         wrenches: Dead loads.
     """
 
@@ -29,7 +29,7 @@ class Actuation:
     wrenches: tuple[Wrench, ...] = ()
 
     def loads_at(self, time: float) -> Loads:
-        """The loads at a time in seconds."""
+        """Loads at a time, s; constant before the first and after the last time."""
         last = self.time.size - 1
         k = int(np.clip(np.searchsorted(self.time, time, "right") - 1, 0, last))
         tensions = self.tensions[k]
@@ -39,7 +39,7 @@ class Actuation:
         return Loads(tensions, self.gravity, self.wrenches)
 
     def lasting(self, duration: float) -> Actuation:
-        """The same tensions stretched over another time, from 0 to `duration` seconds."""
+        """Copy with the times scaled to run from 0 to `duration` seconds."""
         if self.time.size == 1:
             return self
         start, stop = self.time[0], self.time[-1]
@@ -47,12 +47,12 @@ class Actuation:
 
 
 def read_actuation(table: Table, tendons: int, gravity: Array) -> Actuation:
-    """The actuation of a table: tensions, time (one a row of them), gravity, and [[loads]].
+    """Read an actuation: tensions, time (one per row of tensions), gravity, and [[loads]].
 
     Args:
         table: The table.
         tendons: Number of tendons.
-        gravity: Gravity (3,) unless the table gives it, m/s².
+        gravity: Default gravity (3,) if the table has none, m/s².
 
     Raises:
         SimulationError: A key is missing, misspelt or impossible.

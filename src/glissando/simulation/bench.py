@@ -1,4 +1,4 @@
-"""The [physics] table of a robot file: rod, tendons, stage, tracker, and shapes with names."""
+"""The [physics] table of a robot file: rod, tendons, stage, tracker, and named shapes."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from glissando.simulation.imperfections import ROLLS, Imperfections, SmoothField
 from glissando.simulation.motion import Motion, solve_motion
 from glissando.simulation.rod import STRAIGHT, Rod, Tendon
 
-_FRAME = 0.2  # s between solved shapes of a robot that moves
-_FEWEST, _MOST = 10, 20_000  # of them between two times of an actuation
+_FRAME = 0.2  # s between solved shapes of a moving robot
+_FEWEST, _MOST = 10, 20_000  # shapes between two times of an actuation
 
 
 @dataclass(frozen=True)
 class Bench:
-    """A robot with its sensors on a bench, as the simulator knows it.
+    """Simulated robot with its sensors on a bench.
 
     Attributes:
-        rod: Its tubes.
-        tendons: Its tendons.
-        gravity: Gravity (3,), m/s².
+        rod: Rod with the stiffness and mass of tubes and disks.
+        tendons: Tendons of the robot.
+        gravity: Gravity (3,) in the world frame, m/s².
         slide: Limits of the stage that slides the coil.
-        full_slide: A stage as long as the robot, which exists in simulation only.
-        coil_offset: Place of the coil, from the tip, at displacement zero, m.
+        full_slide: Limits of a stage as long as the robot, which exists in simulation only.
+        coil_offset: Arclength of the coil minus the robot's length at displacement zero, m; ≤ 0.
         tracker: Pose T_wt (4, 4) of the tracker.
         flaws: Imperfections of robot and sensors.
         truth: Arclengths of the motion capture frames (C,), m.
@@ -60,18 +60,18 @@ class Bench:
     inertial: Array
 
     def shape(self, name: str) -> Actuation:
-        """A shape of the robot file by name, or of a TOML file by path.
+        """Actuation by the name of a shape of the robot file, or by the path of a TOML file.
 
-        Raises SimulationError when there is neither.
+        Raises SimulationError if there is neither.
         """
         if name in self.shapes:
             return self.shapes[name]
         return read_actuation(self._file(name), len(self.tendons), self.gravity)
 
     def scenario(self, name: str) -> tuple[Scenario, float]:
-        """The scenario of a shape by name, or of a TOML file, and the last of its times, s.
+        """Scenario of a named shape or of a TOML file, and its last time, s.
 
-        Raises SimulationError when there is neither.
+        Raises SimulationError if there is neither.
         """
         if name in self.shapes:
             return scenario_of(self.shapes[name]), float(self.shapes[name].time[-1])
@@ -88,9 +88,9 @@ class Bench:
         return read_toml(path, SimulationError)
 
     def move(self, actuation: Actuation, flaws: Imperfections, seed: int) -> Motion:
-        """The static shapes of an actuation, in time, of a robot with the set that `seed` gives it.
+        """Quasi-static motion under an actuation; `seed` draws the robot's permanent set.
 
-        Raises SimulationError for a motion that is too long, NoShapeError where the rod buckles.
+        Raises SimulationError for a motion that is too long, NoShapeError if the rod buckles.
         """
         rod = self._with_set(flaws, seed)
         frames = [actuation.time[:1]]
@@ -108,15 +108,15 @@ class Bench:
     def move_dynamically(
         self, scenario: Scenario, flaws: Imperfections, seed: int, duration: float
     ) -> DynamicMotion:
-        """The motion with inertia of a robot with the set that `seed` gives it, for `duration` s.
+        """Motion with inertia over `duration` s; `seed` draws the robot's permanent set.
 
-        Raises SimulationError for what cannot be, NoShapeError where the rod cannot be followed.
+        Raises SimulationError for an impossible scenario, NoShapeError if the integration fails.
         """
         rod = self._with_set(flaws, seed)
         return simulate_motion(rod, self.tendons, scenario, duration)
 
     def _with_set(self, flaws: Imperfections, seed: int) -> Rod:
-        """The rod with the curvature that it keeps when unloaded."""
+        """Rod with a random permanent set: curvature of the unloaded tubes."""
         rod = self.rod
         if flaws.set_curvature > 0.0:
             rng = np.random.default_rng([seed, 1])
@@ -132,7 +132,7 @@ class Bench:
 
 
 def load_bench(path: Path) -> Bench:
-    """The bench that a robot file's [physics] describes. Raises SimulationError without one."""
+    """Read the bench of a robot file's [physics]. Raises SimulationError if there is none."""
     table = read_toml(path, SimulationError)
     physics, base = table.table("physics"), table.table("base")
     if physics is None:

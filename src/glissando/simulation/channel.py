@@ -1,4 +1,4 @@
-"""Where a coil is in a channel beside the backbone, by the simulated rod's own geometry."""
+"""Poses of a coil in a channel beside the backbone, by the simulated rod's geometry."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from glissando.simulation.dynamics.motion import DynamicMotion
 from glissando.simulation.motion import Motion
 from glissando.simulation.rod import STRAIGHT, Tendon
 
-_FINE = 801  # places along a channel whose length is asked for
+_FINE = 801  # points at which a channel's length is integrated
 
 
 def straight_length(channel: Tendon, length: float) -> float:
@@ -22,15 +22,15 @@ def straight_length(channel: Tendon, length: float) -> float:
 
 
 def poses_in(channel: Tendon, motion: Motion | DynamicMotion, travel: Array, time: Array) -> Array:
-    """Poses T_wc (M, 4, 4) after travels (M,) from the base, z along the channel.
+    """Poses T_wc (M, 4, 4) of a coil at distances along a channel, with z along the channel.
 
-    Beyond an end of the channel the coil goes straight on.
+    Beyond an end of the channel the coil continues straight along the tangent.
 
     Args:
         channel: The channel.
         motion: The robot's motion.
-        travel: How far the coil was pushed in, m.
-        time: When (M,), s.
+        travel: Distances (M,) of the coil along the channel from the base, m.
+        time: Times (M,), s.
     """
     mesh, length = motion.mesh, motion.rod.length
     instants, which = np.unique(time, return_inverse=True)
@@ -54,6 +54,6 @@ def poses_in(channel: Tendon, motion: Motion | DynamicMotion, travel: Array, tim
 
 
 def _along(channel: Tendon, arclength: Array, strain: Array) -> Array:
-    """Tangent (…, P, 3) of a channel at arclengths (P,) in the rod's frame there."""
+    """Tangents (…, P, 3), not normalised, of a channel at arclengths (P,), in body frames."""
     place, slope = channel.path(arclength)
     return strain[..., :3] + np.cross(strain[..., 3:], place) + slope

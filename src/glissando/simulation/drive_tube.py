@@ -1,7 +1,7 @@
-"""The coil at the end of its drive tube: where it is when the motor is elsewhere.
+"""Stick-slip motion of the coil at the end of an elastic drive tube.
 
-The tube is a spring with a damper between motor and coil; the coil has mass and rubs in the outer
-tube, where it sticks until the spring pulls harder than it holds. Source: Karnopp 1985.
+The tube is a spring between motor and coil. The coil has mass, viscous and dry friction in the
+outer tube, and sticks until the spring force exceeds the breakaway force. Source: Karnopp 1985.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from glissando.geometry.se3 import Array
 
 STEP = 2.5e-4
-"""Time between two moments at which the coil is followed, s."""
+"""Time step of the integration, s."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +23,11 @@ class DriveTube:
     """A drive tube with the coil at its end.
 
     Attributes:
-        stiffness: Stiffness between motor and coil, N/m; zero if the coil is where the motor is.
-        mass: What moves with the coil, kg.
+        stiffness: Stiffness between motor and coil, N/m; zero for a rigid tube.
+        mass: Moving mass of coil and tube, kg.
         damping: Viscous friction of the coil, N s/m.
-        friction: Friction of the coil that slides, N.
-        stiction: How much larger the force is that it takes to set it off.
+        friction: Dry friction of the sliding coil, N.
+        stiction: Ratio of the breakaway force to the friction of sliding.
     """
 
     stiffness: float
@@ -37,10 +37,10 @@ class DriveTube:
     stiction: float
 
     def follow(self, motor: Array, step: float = STEP) -> Array:
-        """Displacement (M,) of the coil for that of the motor (M,), every `step` seconds.
+        """Displacements (M,) of the coil for displacements (M,) of the motor every `step` seconds.
 
-        The coil starts at rest with a tube that is not strained. Between two moments it sticks, or
-        slides one way as a linear oscillator, whose motion is exact for a motor of constant speed.
+        The coil starts at rest with an unstrained tube. During a step it sticks, or slides in one
+        direction as a linear oscillator, integrated exactly for a motor of constant speed.
         """
         if self.stiffness <= 0.0:
             return np.array(motor)
@@ -64,7 +64,10 @@ class DriveTube:
         return np.array(coil)
 
     def _onwards(self, step: float) -> Array:
-        """Matrix (2, 5) from [coil, its speed, motor, its speed, way] to coil and speed later."""
+        """Transition matrix (2, 5) of a step to the coil's displacement and speed.
+
+        Columns are displacement and speed of the coil, of the motor, and the direction of sliding.
+        """
         k, c, m = self.stiffness, self.damping, self.mass
         rate = np.zeros((5, 5))
         rate[0, 1] = rate[2, 3] = 1.0

@@ -1,4 +1,4 @@
-"""What is not as it should be, of robot and sensors, and smooth random fields to draw it from."""
+"""Imperfections of robot and sensors, and the smooth random fields from which they are drawn."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
 
-_LENGTHS = ("bias_length", "field_size", "set_length")  # which cannot be zero
+_LENGTHS = ("bias_length", "field_size", "set_length")  # must be positive
 _MOST = 1e6
 _WAVES = 64  # plane waves a random field is made of
 ROLLS = ("arbitrary", "minimal", "true")
@@ -18,34 +18,34 @@ ROLLS = ("arbitrary", "minimal", "true")
 
 @dataclass(frozen=True)
 class Imperfections:
-    """Everything that keeps robot and sensors from what they should be; zero switches a part off.
+    """Imperfections of robot and sensors; zero switches a part off.
 
-    Lengths in m and angles in rad are RMS over all directions they have. Jitter and bias grow by
-    1 + (d / field_size)² with the distance d from the field's centre.
+    Lengths in m and angles in rad are RMS norms over all components. Jitter and bias are multiplied
+    by 1 + (d / field_size)² at the distance d from the field's centre.
 
     Attributes:
         jitter, jitter_angle: White noise of the coil.
-        bias, bias_angle: Errors of the coil that depend on its place.
-        bias_length: Length in space over which these vary.
+        bias, bias_angle: Errors of the coil that depend on its position.
+        bias_length: Correlation length of the bias in space.
         field_centre: Centre of the tracker's field in the world (3,).
-        field_size: Distance from it at which jitter and bias are twice as large.
-        registration, registration_angle: Error between tracker and world, one a session, about the
-            field's centre.
-        play: Radial clearance of the inner tube, which touches the wall somewhere.
+        field_size: Distance from the centre at which jitter and bias are doubled.
+        registration, registration_angle: Error of the tracker's frame, about the field's centre,
+            constant in a session.
+        play: Radial clearance of the inner tube, which touches the wall along a smooth line.
         backlash: Free travel between motor and coil.
-        encoder: Noise of the motor's position.
-        dropouts: Drop-outs a second.
+        encoder: White noise of the motor's position.
+        dropouts: Rate of drop-outs, 1/s.
         dropout_duration: Shortest and longest drop-out (2,), s.
-        roll: What the tracker reports: 'arbitrary' (one a session), 'minimal' (the smallest
-            rotation in its frame) or 'true'.
+        roll: Roll that the tracker reports: 'arbitrary' (offset by a constant per session),
+            'minimal' (that of the least rotation from the tracker's frame) or 'true'.
         mocap, mocap_angle: White noise of motion capture.
-        latency: How much earlier than its time the tracker saw what it reports, s.
-        exposure: How long the tracker looks before that, s; it reports the mean.
-        drive_stiffness: Of the tube between motor and coil, N/m; zero for a rigid one.
-        drive_mass, drive_damping, drive_friction, drive_stiction: As of `DriveTube`.
-        gyro, accelerometer: White noise of inertial sensors, each axis, rad/s and m/s².
-        set_curvature: Curvature that the tubes keep when unloaded, about each axis, rad/m.
-        set_length: Length along the body over which it varies.
+        latency: Delay of the tracker's stamps after the end of the exposure, s.
+        exposure: Duration of the exposure, s, over which the reported pose is averaged.
+        drive_stiffness: Stiffness of the tube between motor and coil, N/m; zero for a rigid tube.
+        drive_mass, drive_damping, drive_friction, drive_stiction: As in `DriveTube`.
+        gyro, accelerometer: White noise of inertial sensors per axis, rad/s and m/s².
+        set_curvature: Curvature of the unloaded tubes (permanent set), RMS about each axis, rad/m.
+        set_length: Correlation length of the set along the body.
     """
 
     jitter: float = 1.2e-4
@@ -105,9 +105,9 @@ class Imperfections:
             raise SimulationError(f"roll is {self.roll!r}; give one of {', '.join(ROLLS)}.")
 
     def without(self, *names: str) -> Imperfections:
-        """The same with the named parts off; 'all' switches every one off, motion capture's too.
+        """Copy with the named parts switched off; 'all' includes the noise of motion capture.
 
-        An error and its angle go together. Raises SimulationError for a name that is not a part.
+        A part contains both position and angle. Raises SimulationError for an unknown name.
         """
         for name in names:
             if name not in (*PARTS, "all"):
@@ -134,16 +134,16 @@ PARTS = {
     "accelerometer": ("accelerometer",),
     "set": ("set_curvature",),
 }
-"""What `Imperfections.without` can switch off, and the fields that are then zero."""
+"""Parts that `Imperfections.without` can switch off, and the fields that it sets to zero."""
 _LISTED = ", ".join((*PARTS, "all"))
 
 
 @dataclass(frozen=True)
 class SmoothField:
-    """A random function of place, unit variance a component, smooth over `length` metres.
+    """Smooth random function of position with unit variance per component.
 
-    A sum of plane waves with random directions: a Gaussian random field with a squared exponential
-    covariance, as their number grows.
+    A sum of plane waves with random directions, which approximates a Gaussian random field with a
+    squared exponential covariance.
     """
 
     waves: Array
@@ -153,7 +153,7 @@ class SmoothField:
     def draw(
         rng: np.random.Generator, dimensions: int, components: int, length: float
     ) -> SmoothField:
-        """A field over `dimensions` with `components` that are independent of each other."""
+        """Draw a field over `dimensions` with independent components and correlation length, m."""
         waves = rng.standard_normal((components, _WAVES, dimensions)) / max(length, 1e-9)
         return SmoothField(waves, rng.uniform(0.0, 2.0 * np.pi, (components, _WAVES)))
 

@@ -1,7 +1,7 @@
-"""Gauss points along a rod: integrate, interpolate and roll strains out into poses.
+"""Spectral elements along a rod: integration, interpolation, and integration of strain to poses.
 
-Between places where something jumps (a load, a tendon's end) strain is smooth, so each element
-carries a polynomial through its Gauss points and converges spectrally.
+Between discontinuities (a load, a tendon's end) strain is smooth, so a polynomial through the Gauss
+points of each element converges spectrally.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from scipy.linalg import block_diag
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 
-_COUNT = 12  # Gauss points an element
+_COUNT = 12  # Gauss points per element
 _NODES, _WEIGHTS = legendre.leggauss(_COUNT)
 _TO_MODES = np.linalg.inv(legendre.legvander(_NODES, _COUNT - 1))  # values at the points → modes
-_SAME = 1e-9  # m between two places that are one
+_SAME = 1e-9  # m: arclengths closer than this are equal
 _ENDS = np.concatenate([[-1.0], _NODES, [1.0]])
 _INNER = np.sqrt(0.6) * np.array([-1.0, 0.0, 1.0])  # the three Gauss points of a Magnus step
 
@@ -38,7 +38,7 @@ def _integrals() -> Array:
 
 
 def _magnus_points(ends: Array) -> Array:
-    """Matrix (P − 1, 3, 12) to the inner points of each interval between ends (P,)."""
+    """Matrix (P − 1, 3, 12) from values at the points to three points between ends (P,)."""
     middle, half = 0.5 * (ends[1:] + ends[:-1]), 0.5 * np.diff(ends)
     points = middle[:, None] + half[:, None] * _INNER
     return _at(points.ravel()).reshape(*points.shape, _COUNT)
@@ -48,12 +48,12 @@ _INTEGRALS, _STEPS = _integrals(), _magnus_points(_ENDS)
 
 
 def _bracket(x: Array, y: Array) -> Array:
-    """Bracket (…, 6) for T′ = T ε^, whose products stand in the other order than usual."""
+    """Lie bracket (…, 6), with the sign for T′ = T ε^, whose products are in reverse order."""
     return -np.einsum("...ij,...j->...i", se3.ad(x), y)
 
 
 def magnus(strain: Array, step: Array) -> Array:
-    """Twist (…, 6) of a step with strain (…, 3, 6) at its Gauss points, to sixth order.
+    """Sixth-order Magnus twist (…, 6) of a step with strain (…, 3, 6) at its Gauss points.
 
     Source: Blanes, Casas and Ros 2000.
     """
@@ -69,8 +69,8 @@ def magnus(strain: Array, step: Array) -> Array:
 class Mesh:
     """Elements with twelve Gauss points each; `edges` (E + 1,) in metres from 0 to the length.
 
-    Between an element's points and ends there are 13 intervals of `widths` (E, 13) metres; `steps`
-    (13, 3, 12) takes values at the points to the three inner points of each.
+    An element's points and ends bound 13 intervals of `widths` (E, 13), m; `steps` (13, 3, 12)
+    interpolates values at the points to three Gauss points of each interval.
     """
 
     edges: Array
@@ -87,7 +87,7 @@ class Mesh:
 
     @staticmethod
     def through(breaks: Sequence[float] | Array, largest: float) -> Mesh:
-        """A mesh with an edge at every one of `breaks`, no element longer than `largest`."""
+        """Mesh with an edge at each of `breaks` and no element longer than `largest`, m."""
         places = np.unique(breaks)
         places = places[np.append(True, np.diff(places) > _SAME)]
         parts = [
@@ -97,7 +97,7 @@ class Mesh:
         return Mesh(np.append(np.concatenate(parts), places[-1]))
 
     def has(self, breaks: Sequence[float] | Array) -> bool:
-        """Whether this is a mesh of the same length with an edge at every one of `breaks`."""
+        """Whether the mesh ends at the largest of `breaks` and has an edge at each of them."""
         gaps = np.abs(self.edges[:, None] - np.asarray(breaks)).min(axis=0)
         return bool(np.all(gaps <= _SAME) and abs(self.edges[-1] - np.max(breaks)) <= _SAME)
 
@@ -110,20 +110,20 @@ class Mesh:
         return whole + (element[:, None] > element[None, :]) * self.weights
 
     def unresolved(self, strain: Array) -> float:
-        """About how far (rad) the modes that an element lacks would turn the rod.
+        """Estimate of the rotation (rad) due to modes of strain that the elements do not resolve.
 
-        Taken from the last two modes that it has, which an integral over it nearly cancels.
+        Computed from the last two resolved modes, whose integral over an element nearly cancels.
         """
         modes = np.abs(_TO_MODES @ self._split(strain))
         tails = modes[:, -2:].max(axis=(1, 2))
         return float((tails * np.diff(self.edges)).max()) / _COUNT**2
 
     def element_of(self, arclength: Array) -> np.ndarray:
-        """Index of the element (M,) that holds each arclength; an edge belongs to the one above."""
+        """Indices (M,) of the elements that contain arclengths; an edge belongs to the next one."""
         return np.clip(np.searchsorted(self.edges, arclength, "right") - 1, 0, self.edges.size - 2)
 
     def interpolate(self, values: Array, arclength: Array) -> Array:
-        """Values (M, D) at arclengths (M,); `values` (M, G, D) at the points, a row each."""
+        """Values (M, D) at arclengths (M,), each from its own `values` (M, G, D) at the points."""
         element, rows = self.element_of(arclength), np.arange(arclength.size)
         weights = _at(self._local(arclength, element))
         return np.einsum("mi,mid->md", weights, self._split(values)[rows, element])
@@ -136,7 +136,7 @@ class Mesh:
         return values.reshape(*values.shape[:-2], self.edges.size - 1, _COUNT, values.shape[-1])
 
     def roll_out(self, strain: Array, base: Array) -> tuple[Array, Array]:
-        """Poses at the points (…, G, 4, 4) and the edges (…, E + 1, 4, 4) of strains (…, G, 6)."""
+        """Poses at points (…, G, 4, 4) and edges (…, E + 1, 4, 4), integrated from strains."""
         inner = np.einsum("ipn,...enj->...eipj", _STEPS, self._split(strain))
         moves = se3.exp(magnus(inner, self.widths[..., None]))
         elements = self.edges.size - 1
@@ -152,7 +152,7 @@ class Mesh:
     def pose_at(self, strain: Array, edges: Array, arclength: Array) -> Array:
         """Poses (M, 4, 4) at arclengths (M,) of strains (M, G, 6) and edge poses (M, E + 1, 4, 4).
 
-        Rolled out from the edge below in four Magnus steps.
+        Strain is integrated from the edge below in four Magnus steps.
         """
         element, rows = self.element_of(arclength), np.arange(arclength.size)
         values, pose = self._split(strain)[rows, element], edges[rows, element]

@@ -1,4 +1,4 @@
-"""A robot in slow motion: one static shape after another, continuous in time."""
+"""Quasi-static motion: a sequence of static shapes, interpolated in time."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _CHUNK = 500  # queries at a time, to bound memory
 
 @dataclass(frozen=True)
 class Motion:
-    """Static shapes at several times, with a cubic spline of their strains between.
+    """Static shapes at several times, with strains interpolated by cubic splines.
 
-    Before the first time and after the last the robot holds still.
+    Before the first and after the last time the robot is at rest.
 
     Attributes:
-        rod: The rod of all shapes.
-        mesh: Their Gauss points.
+        rod: Rod of all shapes.
+        mesh: Mesh of all shapes, with G points.
         time: Times of the shapes (K,), s.
-        strain: Their strains at the points (K, G, 6).
-        rests: Those of the times at which the robot is at rest (B,), s; each stretch between two of
-            them has a spline of its own.
+        strain: Strains at the points (K, G, 6).
+        rests: Times (B,) among `time` at which the robot is at rest, s; each interval between two
+            of them has its own clamped spline.
     """
 
     rod: Rod
@@ -41,9 +41,9 @@ class Motion:
     rests: Array
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> Section:
-        """Cross-sections at arclengths (m) and times (s), which broadcast together.
+        """Cross-sections at arclengths (m) and times (s), which are broadcast together.
 
-        Raises SimulationError off the rod.
+        Raises SimulationError for arclengths off the rod.
         """
         s, t = np.broadcast_arrays(
             np.asarray(arclength, dtype=float), np.asarray(time, dtype=float)
@@ -76,9 +76,9 @@ class Motion:
 
 
 def shortening(mesh: Mesh, strain: Array, tendons: Sequence[Tendon]) -> Array:
-    """How much shorter (M, T) channels are under strains (M, G, 6) than in the straight rod, m.
+    """Shortening (M, T) of channels under strains (M, G, 6), relative to the straight rod, m.
 
-    What servos pull in of tendons that do not stretch. Source: (M5).
+    Equals the displacements of inextensible tendons. Source: (M5).
     """
     points, columns = mesh.points, []
     for tendon in tendons:
@@ -97,15 +97,15 @@ def solve_motion(
     time: ArrayLike,
     rests: ArrayLike,
 ) -> Motion:
-    """The shapes under loads that change slowly, each solved from the one before.
+    """Solve the static shapes under slowly changing loads, each from the one before.
 
     Args:
         rod: The rod.
-        tendons: Its tendons.
-        loads_at: The loads at a time in seconds.
+        tendons: Tendons of the rod.
+        loads_at: Function of time (s) that returns the loads.
         time: Times of the shapes (K,), s.
-        rests: Times at which the loads stop changing (B,), s; some of `time`, with its first and
-            last.
+        rests: Times (B,) at which the loads are stationary, s; a subset of `time` that includes the
+            first and the last.
 
     Raises:
         SimulationError: Tendons or loads are impossible.

@@ -1,4 +1,4 @@
-"""What a robot is made of and what pulls on it: rod, tendons, loads."""
+"""Mechanical model of a robot: rod, tendons and loads."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.tendons.channel import Channel
 
 Field = Callable[[Array], Array]
-"""A function of arclength (M,) in metres; its values have a row for each."""
+"""A function of arclengths (M,) in metres, whose values (M, …) have a row for each."""
 
 
 STRAIGHT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -37,10 +37,9 @@ class Rod:
         rest_strain: Unloaded strain (6,), or a function of arclength (M,) → (M, 6).
         mass_per_length: Mass, kg/m.
         base: T_wb (4, 4) at s = 0.
-        rotary_inertia: Moment of inertia of a metre of rod about body x, y, z (3,), kg m.
-        retardation: Kelvin–Voigt retardation time, s: the material resists a rate of strain by its
-            stiffness times this.
-        air_damping: Force that a metre of rod feels in air that it moves through at 1 m/s, N s/m².
+        rotary_inertia: Moment of inertia per metre of rod about body x, y, z (3,), kg m.
+        retardation: Kelvin–Voigt retardation time, s: damping is stiffness times retardation.
+        air_damping: Drag of air per metre of rod and per velocity, N s/m².
 
     Source: Rucker and Webster 2011, equations (1) to (9).
     """
@@ -72,7 +71,7 @@ class Rod:
         _require_finite("rest_strain", self.rest(np.zeros(1)), (1, 6))
 
     def rest(self, arclength: Array) -> Array:
-        """Strain (M, 6) of the unloaded rod at arclengths (M,)."""
+        """Strains (M, 6) of the unloaded rod at arclengths (M,)."""
         if callable(self.rest_strain):
             return np.asarray(self.rest_strain(arclength), dtype=float)
         strain = np.asarray(self.rest_strain, dtype=float)
@@ -92,7 +91,7 @@ class Rod:
         retardation: float = 0.0,
         air_damping: float = 0.0,
     ) -> Rod:
-        """Concentric tubes of one material that bend together.
+        """Rod of concentric tubes of one material that bend together.
 
         Args:
             length: Length, m.
@@ -100,10 +99,10 @@ class Rod:
             young: Young's modulus, Pa.
             poisson: Poisson's ratio.
             density: Density, kg/m³.
-            rest_strain: Unloaded strain, as of the rod.
-            base: T_wb (4, 4) at s = 0; the world's frame unless given.
+            rest_strain: Unloaded strain (6,), or a function of arclength (M,) → (M, 6).
+            base: T_wb (4, 4) at s = 0; the world's frame if None.
             retardation: Kelvin–Voigt retardation time, s.
-            air_damping: Force of air on a metre of rod at 1 m/s, N s/m².
+            air_damping: Drag of air per metre of rod and per velocity, N s/m².
 
         Raises:
             SimulationError: A diameter or a ratio is impossible.
@@ -134,15 +133,16 @@ class Rod:
 
 @dataclass(frozen=True)
 class Tendon:
-    """A tendon through holes in the disks, from the base to where it is tied.
+    """A tendon through holes in the disks, from the base to its end, where it is fixed.
 
-    With friction its tension falls from the base by exp(−μ Θ), Θ the angle the backbone has bent it
-    by, as when it is being pulled (Capstan; Kato et al. 2015).
+    With friction, tension decreases from the base by the factor exp(−μ Θ), where Θ is the angle by
+    which the backbone bends the tendon up to s, as while it is pulled (capstan equation; Kato et
+    al. 2015).
 
     Attributes:
-        offset: Its place in the cross-section (2,), m, or a function of arclength (M,) → (M, 2).
-        end: Arclength where it is tied, m.
-        friction: Coefficient μ.
+        offset: Position in the cross-section (2,), m, or a function of arclength (M,) → (M, 2).
+        end: Arclength of the end, m.
+        friction: Coefficient of friction μ.
     """
 
     offset: Array | Field
@@ -150,7 +150,7 @@ class Tendon:
     friction: float = 0.0
 
     def path(self, arclength: Array) -> tuple[Array, Array]:
-        """Places r (M, 3) in the cross-section and their slopes dr/ds (M, 3)."""
+        """Positions r (M, 3) in the cross-section and derivatives dr/ds (M, 3)."""
         place, slope = np.zeros((arclength.size, 3)), np.zeros((arclength.size, 3))
         if not callable(self.offset):
             offset = np.asarray(self.offset, dtype=float)
@@ -159,7 +159,7 @@ class Tendon:
             return place, slope
         inside = np.minimum(arclength, self.end)
         place[:, :2] = self.offset(inside)
-        # the slope of a quartic through five points of the tendon: to 1e-9 for smooth routings
+        # derivative of a quartic through five points of the tendon: within 1e-9 for smooth paths
         step, stencil = 1e-4 * self.end, np.arange(-2.0, 3.0)
         at = np.clip(arclength, 2.0 * step, self.end - 2.0 * step)
         values = np.array([self.offset(at + k * step) for k in stencil])
@@ -169,7 +169,7 @@ class Tendon:
         return place, slope
 
     def channel(self) -> tuple[float, float, float]:
-        """Radius (m), angle at the base (rad) and pitch (m, zero if straight) of its channel."""
+        """Radius (m), angle at the base (rad) and pitch (m, zero if straight) of the channel."""
         place, slope = (each[0] for each in self.path(np.zeros(1)))
         radius = float(np.linalg.norm(place))
         rate = float(np.cross(place, slope)[2] / radius**2)
@@ -180,7 +180,7 @@ class Tendon:
     def helical(
         radius: float, angle: float, pitch: float, end: float, friction: float = 0.0
     ) -> Tendon:
-        """A tendon that winds round the backbone, once every `pitch` metres, from `angle` (rad)."""
+        """Tendon wound round the backbone once per `pitch` (m), from `angle` (rad) at the base."""
 
         def offset(arclength: Array) -> Array:
             turn = angle + 2.0 * np.pi * arclength / pitch
@@ -190,7 +190,7 @@ class Tendon:
 
     @staticmethod
     def in_channel(channel: Channel, end: float) -> Tendon:
-        """What runs without friction in a stated channel, from the base to `end` (m)."""
+        """Frictionless tendon in a channel, from the base to `end` (m)."""
         if np.isfinite(channel.pitch):
             return Tendon.helical(channel.radius, channel.angle, channel.pitch, end)
         direction = np.array([np.cos(channel.angle), np.sin(channel.angle)])
@@ -208,7 +208,7 @@ class Wrench:
 
 @dataclass(frozen=True)
 class Loads:
-    """All that acts on a rod from outside: tendon `tensions` (N), `gravity` (m/s²), `wrenches`."""
+    """External loads on a rod: tendon `tensions` (T,) in N, `gravity` (3,) in m/s², `wrenches`."""
 
     tensions: ArrayLike = ()
     gravity: ArrayLike = (0.0, 0.0, 0.0)
@@ -216,7 +216,7 @@ class Loads:
 
 
 def require_possible(rod: Rod, tendons: Sequence[Tendon], loads: Loads) -> None:
-    """Raise SimulationError unless tendons and loads are on the rod and tensions can be."""
+    """Raise SimulationError unless tendons and loads are on the rod and tensions are possible."""
     tensions = np.atleast_1d(np.asarray(loads.tensions, dtype=float))
     if tensions.shape != (len(tendons),):
         raise SimulationError(

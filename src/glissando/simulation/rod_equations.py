@@ -1,13 +1,13 @@
-"""Balance of a rod with tendons at the Gauss points of a mesh, at rest or moving.
+"""Balance of force and moment of a rod with tendons at the Gauss points of a mesh.
 
-The rod with its tendons is one body on which only the outside acts, so the force N and moment M it
-carries at s follow from what acts beyond s, inertia included. What the rod's own material carries
-is that less the pull of the tendons:
+Rod and tendons form one body under external loads only, so the internal force N and moment M at s
+are the resultants of the loads beyond s, inertia included. The rod's material carries these less
+the tendons' tension:
 
     K (ε − ε_rest) + D ∂ε/∂t + Σ τ [t; r × t] = [Rᵀ N; Rᵀ M],   t = (ν + u × r + r′)/|…|.
 
-This is Rucker and Webster 2011 with the tendons' distributed and end loads integrated once: what
-passes between tendon and disks is inside the body, friction too, and needs no term of its own.
+This is Rucker and Webster 2011 with the tendons' distributed and end loads integrated once: forces
+between tendon and disks, friction included, are internal to the body and need no terms.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from glissando.simulation.rod import Rod, Tendon
 
 @dataclass(frozen=True)
 class AppliedLoads:
-    """What acts on a rod at one time.
+    """Loads on a rod and motion of its base at one time.
 
     Attributes:
         base: Pose of the base (4, 4).
-        base_rates: Its velocity, angular velocity and their derivatives (4, 3), world axes.
+        base_rates: Velocity, angular velocity and their time derivatives (4, 3), world axes.
         gravity: Gravity (3,), m/s².
-        cables: Of each tendon, tension at its natural length (N), stiffness (N/m), natural length
-            (m) and friction (T, 4); the tension is what the stretched length makes it, not below 0.
+        cables: Tension at natural length (N), stiffness (N/m), natural length (m) and friction of
+            each tendon (T, 4); tension increases with length by the stiffness, and is never < 0.
         planes: Point, normal, stiffness (N/m²), damping (s/m) and friction of half-spaces (C, 9).
-        sites: Element at whose end something acts, dead force and moment (world), and anchor,
-            stiffness (N/m) and damping (N s/m) of a spring (H, 12).
+        sites: Index of the element at whose end the load acts, dead force and moment (world), and
+            anchor, stiffness (N/m) and damping (N s/m) of a spring (H, 12).
     """
 
     base: Array
@@ -47,7 +47,7 @@ class AppliedLoads:
     base_rates: Array = field(default_factory=lambda: np.zeros((4, 3)))
 
     def share(self, share: float) -> AppliedLoads:
-        """The same loads, each a share of itself."""
+        """Copy with all loads, and stiffnesses of tendons, contacts and springs, times `share`."""
         cables, planes, sites = np.array(self.cables), np.array(self.planes), np.array(self.sites)
         cables[:, :2] *= share
         planes[:, 6] *= share
@@ -59,16 +59,16 @@ class AppliedLoads:
 
 
 class Balance(NamedTuple):
-    """A balance and what it was made of, in world axes; places are G points and E elements' ends.
+    """Balance with its intermediate terms, in world axes; S places are G points and E element ends.
 
     Attributes:
-        residual: What is carried less what is asked for (G, 6), body axes.
+        residual: Material and tendon wrench minus internal wrench of the loads (G, 6), body axes.
         turn, place, rates: Rotations (S, 3, 3), positions (S, 3), and velocity, angular velocity,
             acceleration, angular acceleration (4, S, 3) of the places.
-        along: ∂p/∂s (G, 3).
-        carried: Force and moment (2, G + 1, 3) at the points and, last, at the base.
-        touch: Contact force a metre (1, G, 3).
-        ends: Force and moment at elements' ends (E, 6).
+        along: Tangents ∂p/∂s (G, 3).
+        carried: Internal force and moment (2, G + 1, 3) at the points and, last, at the base.
+        touch: Contact force per metre (1, G, 3).
+        ends: Force and moment at the elements' ends (E, 6).
         pull, unit, stretch: Tension (T, G), tangent (T, G, 3) and stretch (T, G) of tendons.
     """
 
@@ -92,20 +92,20 @@ def _each(left: Array, right: Array) -> Array:
 
 @dataclass(frozen=True)
 class RodEquations:
-    """A rod with its tendons on a mesh: all that changes neither with time nor with shape."""
+    """Constants of a rod with its tendons on a mesh, independent of time and shape."""
 
     rod: Rod
     tendons: tuple[Tendon, ...]
     mesh: Mesh
     rest: Array  # (G, 6)
     section: Array  # (3, 6) stiffness; damping; mass, rotary inertia (3), air damping
-    paths: Array  # (T, 3, G, 3) places, slopes, and whether a tendon is there
+    paths: Array  # (T, 3, G, 3) positions, derivatives, and 1 up to the tendon's end, else 0
     before: Array  # (S, G) integral from 0
     beyond: Array  # (G + 1, G) integral to L
 
     @staticmethod
     def of(rod: Rod, tendons: Sequence[Tendon], mesh: Mesh) -> RodEquations:
-        """The equations of a rod on a mesh with an edge at every tendon's end."""
+        """Equations of a rod on a mesh that has an edge at every tendon's end."""
         s, element = mesh.points, np.arange(mesh.points.size) // mesh.steps.shape[2]
         section = np.zeros((3, 6))
         section[0], section[1] = rod.stiffness, rod.retardation * rod.stiffness
@@ -126,7 +126,7 @@ class RodEquations:
         return self.rest.size
 
     def at(self, state: Array, instant: AppliedLoads) -> Balance:
-        """The balance of strains and their two derivatives by time (3, G, 6)."""
+        """Balance for strains and their first and second time derivatives (3, G, 6)."""
         mesh, a = self.mesh, instant
         fixed = mesh.steps, mesh.widths, self.before, self.beyond, mesh.weights
         own = self.rest, self.section, self.paths
@@ -134,16 +134,16 @@ class RodEquations:
         return Balance(*rod_forces.balance(np.ascontiguousarray(state), *fixed, *own, *acting))
 
     def stiffness(self, at: Balance, cables: Array) -> Array:
-        """Derivative (6G, 6G) of the residual by strain, each row times its point's weight.
+        """Jacobian (6G, 6G) of the residual with respect to strain, rows times Gauss weights.
 
-        It leaves out friction of tendons and, of inertia, what is not mass times acceleration:
-        Newton's method then gains a digit or so an iteration.
+        Friction of tendons and, of inertia, all but mass times acceleration are neglected: Newton's
+        method then gains about a digit per iteration.
         """
         points = len(self.rest)
         turn, before, beyond = at.turn[:points], self.before[:points], self.beyond[:points]
         back = np.swapaxes(turn, -1, -2)
         force, moment = hat3(at.carried[0, :points]), hat3(at.carried[1, :points])
-        # a rotation δθ(σ) = ∫₀^σ R δu turns p′, and with it the moment of everything beyond
+        # a rotation δθ(σ) = ∫₀^σ R δu rotates p′, and so changes the moment of all loads beyond
         turned = before[:, None, :, None] * np.swapaxes(turn, 0, 1)[None]  # (G, 3, G, 3)
         levered = _each(force @ hat3(at.along), turned).reshape(points, -1)
         by_turn = (beyond @ levered).reshape(turned.shape)
@@ -160,7 +160,7 @@ class RodEquations:
         return slope.reshape(6 * points, 6 * points)
 
     def _add_tendons(self, slope: Array, at: Balance, cables: Array) -> None:
-        """Add how tendons turn with the section and, if they stretch, pull harder."""
+        """Add the tendons' stiffness: rotation of their tangents and, if elastic, their tension."""
         weights, covered = self.mesh.weights, self.paths[:, 2, :, 0]
         arm = hat3(self.paths[:, 0])
         reach = np.concatenate([np.broadcast_to(np.eye(3), arm.shape), -arm], axis=-1)  # ∂along/∂ε

@@ -1,4 +1,4 @@
-"""Matrices, energies and powers of a moving rod, from its balance."""
+"""Mass, damping and stiffness matrices, energies and powers of a moving rod."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from scipy.linalg import eigh
 from glissando.geometry.se3 import Array, hat3
 from glissando.simulation.rod_equations import AppliedLoads, Balance, RodEquations
 
-_LEVER = 0.1  # of the length: an arm with which a turn counts as a move
+_LEVER = 0.1  # of the length: arm that converts rotations to displacements
 
 
 class Matrices(NamedTuple):
-    """Slopes (6G, 6G) of the weighted residual by acceleration, velocity and strain; and moves.
+    """Jacobians (6G, 6G) of the weighted residual by acceleration, velocity and strain.
 
-    `moves` (6G, 6G) is how strain shifts points, and a tenth of the length held on them, m.
+    `moves` (6G, 6G) maps a change of strain to displacements of the points, and to their rotations
+    times a tenth of the length, m.
     """
 
     mass: Array
@@ -26,10 +27,10 @@ class Matrices(NamedTuple):
 
 
 def matrices(equations: RodEquations, at: Balance, instant: AppliedLoads) -> Matrices:
-    """The matrices that Newton's iteration uses; symmetric, for tendons without friction.
+    """Matrices for Newton's iteration; symmetric for tendons without friction.
 
-    They leave out gyroscopic terms and the slope of inertia by strain, which are small beside the
-    mass over the square of a step.
+    Gyroscopic terms and the derivative of inertia by strain are neglected; they are small compared
+    with mass over squared step length.
     """
     moves, turns = _moves(equations, at)
     points, size = turns.shape[0], equations.size
@@ -52,14 +53,17 @@ def matrices(equations: RodEquations, at: Balance, instant: AppliedLoads) -> Mat
 
 
 def natural_frequencies(equations: RodEquations, at: Balance, instant: AppliedLoads) -> Array:
-    """Frequencies (6G,) of small undamped vibrations about a balance at rest, Hz, lowest first."""
+    """Natural frequencies (6G,) of undamped vibrations about an equilibrium, Hz, ascending."""
     linear = matrices(equations, at, instant)
     squares = eigh(linear.stiffness, linear.mass, eigvals_only=True)
     return np.sqrt(np.maximum(squares, 0.0)) / (2.0 * np.pi)
 
 
 def _moves(equations: RodEquations, at: Balance) -> tuple[Array, Array]:
-    """How places move (S, 3, 6G) and points turn (G, 3, 6G) by strain, world axes."""
+    """Jacobians of positions of places (S, 3, 6G) and rotations of points (G, 3, 6G) by strain.
+
+    Both are in world axes.
+    """
     before, points = equations.before, len(equations.rest)
     turn = at.turn[:points]
     lever = [before @ (along[:, None] * before[:points]) for along in at.along.T]
@@ -76,7 +80,7 @@ def _moves(equations: RodEquations, at: Balance) -> tuple[Array, Array]:
 
 
 def _square(operator: Array, blocks: Array) -> Array:
-    """Σ operatorᵀ block operator over places; operator (S, 3, n), blocks (S, 3, 3)."""
+    """Sum over places of operatorᵀ block operator; operator (S, 3, n), blocks (S, 3, 3)."""
     flat = operator.reshape(-1, operator.shape[-1])
     return flat.T @ (blocks @ operator).reshape(flat.shape)
 
@@ -84,7 +88,7 @@ def _square(operator: Array, blocks: Array) -> Array:
 def _contact_blocks(
     equations: RodEquations, at: Balance, instant: AppliedLoads
 ) -> tuple[Array, Array]:
-    """Stiffness and damping (S, 3, 3) of contacts and holds at the places."""
+    """Stiffness and damping (S, 3, 3) of contacts and springs at the places."""
     points, weights = len(equations.rest), equations.mesh.weights
     stiff, damp = np.zeros((2, len(at.place), 3, 3))
     for plane in instant.planes:
@@ -104,7 +108,7 @@ def _contact_blocks(
 
 
 def energies(equations: RodEquations, state: Array, at: Balance, gravity: Array) -> Array:
-    """Energies (3,) of motion, strain and weight, J."""
+    """Kinetic, strain and gravitational potential energy (3,), J."""
     points, weights, section = len(equations.rest), equations.mesh.weights, equations.section
     spin = np.einsum("gji,gj->gi", at.turn[:points], at.rates[1, :points])
     motion = section[2, 0] * np.sum(at.rates[0, :points] ** 2, axis=1) + spin**2 @ section[2, 1:4]
@@ -114,7 +118,7 @@ def energies(equations: RodEquations, state: Array, at: Balance, gravity: Array)
 
 
 def powers(equations: RodEquations, state: Array, at: Balance, instant: AppliedLoads) -> Array:
-    """Powers (3,) from tendons, loads and base, from contacts and holds, from damping (< 0), W."""
+    """Powers (3,) of tendons, loads and base; of contacts and springs; of damping (≤ 0), W."""
     points, weights, section = len(equations.rest), equations.mesh.weights, equations.section
     velocity = at.rates[0, :points]
     lost = -(state[1] ** 2) @ section[1] - section[2, 4] * np.sum(velocity**2, axis=1)

@@ -1,4 +1,4 @@
-"""What stands beside a recording of a robot with inertia: motion and loads."""
+"""Ground-truth files of a simulated robot with inertia: motion and loads."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def _six(linear: str, angular: str) -> list[str]:
 def write_dynamics(motion: DynamicMotion, folder: Path) -> None:
     """Write truth.csv and loads.csv into a folder, SI units.
 
-    truth.csv has pose, velocity (body), acceleration (body) and the material's wrench (body) at
-    fifteen places a hundred times a second; loads.csv has energies, works, the wrench on the base
-    and tensions at every step.
+    truth.csv has pose, velocity, acceleration and the material's wrench (all body frame) at fifteen
+    arclengths and a rate of 100 Hz; loads.csv has energies, works, the wrench on the base and
+    tensions at every step.
 
     Args:
         motion: The motion.

@@ -1,4 +1,4 @@
-"""A solved shape: pose, strain and internal wrench at any arclength."""
+"""Static shape of a rod: pose, strain and internal wrench at any arclength."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from glissando.simulation.rod import Rod
 
 @dataclass(frozen=True)
 class Section:
-    """Cross-sections of a rod, with the leading shape of the query.
+    """Cross-sections of a rod; leading dimensions are those of the query.
 
     Attributes:
-        pose: T_wb (…, 4, 4).
-        strain: Strain (…, 6).
-        wrench: What the rod's material carries without the tendons' share (…, 6): [force N, moment
-            N m] in the body frame.
+        pose: Poses T_wb (…, 4, 4).
+        strain: Strains (…, 6).
+        wrench: Internal wrenches (…, 6) of the rod's material, without the tendons' part: [force N,
+            moment N m] in the body frame.
     """
 
     pose: Array
@@ -31,11 +31,11 @@ class Section:
 
 @dataclass(frozen=True)
 class Shape:
-    """A rod at rest.
+    """Static shape of a rod.
 
     Attributes:
         rod: The rod.
-        mesh: Its Gauss points.
+        mesh: Mesh with G points.
         strain: Strain at the points (G, 6).
         edges: Poses at the edges of the elements (E + 1, 4, 4).
     """
@@ -46,7 +46,7 @@ class Shape:
     edges: Array
 
     def at(self, arclength: ArrayLike) -> Section:
-        """Cross-sections at arclengths (…) in metres. Raises SimulationError off the rod."""
+        """Cross-sections at arclengths (…), m. Raises SimulationError for any off the rod."""
         s = np.asarray(arclength, dtype=float)
         strains = np.broadcast_to(self.strain, (s.size, *self.strain.shape))
         edges = np.broadcast_to(self.edges, (s.size, *self.edges.shape))
@@ -54,7 +54,7 @@ class Shape:
 
 
 def require_on_rod(rod: Rod, arclength: Array) -> None:
-    """Require that arclengths (…) are on a rod."""
+    """Raise SimulationError unless all arclengths (…) are on the rod."""
     off = arclength[~((arclength >= -1e-9) & (arclength <= rod.length + 1e-9))]
     if off.size:
         raise SimulationError(
@@ -63,14 +63,14 @@ def require_on_rod(rod: Rod, arclength: Array) -> None:
 
 
 def sections(rod: Rod, mesh: Mesh, strain: Array, edges: Array, arclength: Array) -> Section:
-    """Cross-sections at arclengths (…), each of a shape of its own.
+    """Cross-sections at arclengths (…), each of its own shape.
 
     Args:
-        rod: The rod of all shapes.
-        mesh: Their Gauss points.
-        strain: Strains at the points (M, G, 6), a row for each arclength.
+        rod: Rod of all shapes.
+        mesh: Mesh of all shapes.
+        strain: Strains at the points (M, G, 6), one for each of the M arclengths.
         edges: Poses at the edges of the elements (M, E + 1, 4, 4).
-        arclength: Where, m.
+        arclength: Arclengths (…), m.
 
     Raises:
         SimulationError: An arclength is off the rod.

@@ -1,4 +1,4 @@
-"""A session of a simulated robot in one call."""
+"""Simulation of a session in one call."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from glissando.simulation.dynamics.motion import DynamicMotion
 from glissando.simulation.motion import Motion
 from glissando.simulation.simulated_session import Session, simulate_session
 
-_HOLD = 15.0  # s that a slide holds still unless told how long
+_HOLD = 15.0  # s: default duration of the slide hold
 
 _OPTIONS = {
     "hold": ("at",),
     "oscillate": ("cycles", "stroke", "speed"),
     "traverse": ("cycles", "stroke", "speed"),
 }
-"""Options that each named slide takes; a file takes none."""
+"""Options of each named slide; a file has none."""
 
 
 class _FromFile(Protocol):
-    """What was read from a robot file, such as a Robot."""
+    """Object read from a robot file, such as a Robot."""
 
     @property
     def file(self) -> Path | None:
-        """The file."""
+        """Path of the file, or None."""
 
 
 def simulate(
@@ -50,26 +50,25 @@ def simulate(
     channel: Channel | None = None,
     **options: float,
 ) -> Session:
-    """What the sensors of a robot with a sliding coil record, and what truly happened.
+    """Simulate the recording of a robot with a sliding coil, with ground truth.
 
     Args:
-        robot: Name of a shipped robot, path of a robot file with [physics], or what `load_robot`
-            read from one.
-        shape: Name of one of its shapes (straight, C, S, C-to-S), or a TOML file.
+        robot: Name of a shipped robot, path of a robot file with [physics], or a robot that
+            `load_robot` read from such a file.
+        shape: Name of one of the robot's shapes (straight, C, S, C-to-S), or a TOML file.
         slide: hold, oscillate, traverse (a stage as long as the robot), a CSV file, or a SlidePath.
-        seed: Seed of all noise, from 0 up.
-        duration: Seconds; until robot and slide stand still unless given.
-        without: Imperfections to switch off, "all" for every one.
-        dynamic: Whether the robot has inertia; else it is at rest at every instant.
+        seed: Seed of all noise, ≥ 0.
+        duration: Duration, s; by default until robot and slide are at rest.
+        without: Imperfections to switch off; "all" for all of them.
+        dynamic: Whether the robot has inertia; otherwise the motion is quasi-static.
         name: Name of the session.
-        tendons: Whether displacements of the tendons are recorded, too.
-        channel: The channel beside the backbone that the coil slides in; on the backbone unless
-            given.
-        options: Of the slide: `at` (m, of hold), `cycles`, `stroke` (m), `speed` (m/s).
+        tendons: Whether displacements of the tendons are also recorded.
+        channel: Channel beside the backbone in which the coil slides; None for the backbone.
+        options: Options of the slide: `at` (m, of hold), `cycles`, `stroke` (m), `speed` (m/s).
 
     Raises:
-        SimulationError: What is asked for cannot be.
-        NoShapeError: The physics has no static shape there.
+        SimulationError: An argument is impossible.
+        NoShapeError: The rod has no static shape under the loads.
 
     >>> session = simulate(slide="hold", duration=0.5, without=["all"])
     >>> len(session.coil.time)
@@ -93,7 +92,7 @@ def simulate(
 
 
 def _bench_of(robot: str | Path | _FromFile) -> Bench:
-    """The bench of a robot by its name, its file, or what was read from that."""
+    """Bench of a robot given by its name, its file, or an object read from the file."""
     file = robot if isinstance(robot, str | Path) else getattr(robot, "file", None)
     if not isinstance(file, str | Path):
         raise SimulationError(
@@ -103,7 +102,7 @@ def _bench_of(robot: str | Path | _FromFile) -> Bench:
 
 
 def _require_numbers(seed: int, duration: float | None) -> None:
-    """Raise SimulationError for a seed or a duration that is no number."""
+    """Raise SimulationError if the seed or the duration is not a suitable number."""
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise SimulationError(f"Seed {seed!r} cannot be; give a whole number from 0 up.")
     if not (duration is None or is_number(duration) or duration != duration):
@@ -113,16 +112,16 @@ def _require_numbers(seed: int, duration: float | None) -> None:
 def slide_path(
     bench: Bench, slide: str | SlidePath, duration: float | None, options: dict[str, float]
 ) -> SlidePath:
-    """The path of a named slide, or of a file, on the stage that it needs.
+    """Path of a named slide or of a file, within the limits of its stage.
 
     Args:
         bench: The robot with its stages.
-        slide: hold, oscillate, traverse, a CSV file, or the path itself.
-        duration: Seconds that hold lasts.
-        options: As those of `simulate`.
+        slide: hold, oscillate, traverse, a CSV file, or a SlidePath, which is returned.
+        duration: Duration of hold, s.
+        options: Options of the slide, see `simulate`.
 
     Raises:
-        SimulationError: There is no such slide, or it does not take an option.
+        SimulationError: There is no such slide, or it does not have an option.
     """
     stage = bench.slide
     if isinstance(slide, SlidePath):

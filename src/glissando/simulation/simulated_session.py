@@ -1,4 +1,4 @@
-"""A simulated session: the streams its sensors record, and the recording folder they make."""
+"""Simulated session: streams of the sensors' readings, and the recording folder written of them."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ from glissando.simulation.session_truth import write_dynamics
 from glissando.simulation.tracker import coil_rows, inertial_rows, mocap_rows
 
 COIL_RATE, MOCAP_RATE, TENDON_RATE, INERTIAL_RATE = 40.0, 10.0, 5.0, 100.0  # Hz
-_TENDON_STD = 5e-5  # m: servos and what friction keeps from the tendons
+_TENDON_STD = 5e-5  # m: errors of servos, and of friction
 _LONGEST = 100_000.0  # s
 
 
 @dataclass(frozen=True)
 class Session(ShortRepr):
-    """What the sensors of one run record, and what truly happened.
+    """Simulated sensor readings of one run, with ground truth.
 
     Attributes:
         name: Name of the recording.
-        duration: Its length, s.
-        motion: The robot's shapes.
-        path: The slide's path.
+        duration: Duration of the recording, s.
+        motion: True motion of the robot.
+        path: Path of the slide.
         coil: Readings of the coil in the tracker's frame.
         mocap: Readings of motion capture in the world, by the name of the frame.
         T_wt: Pose of the tracker (4, 4).
-        mocap_std: Std of motion capture's noise (6,), [linear m, angular rad].
-        tendons: Displacements of the tendons, if they are recorded.
-        gyros: Readings of gyroscopes, by name, of a robot that moves with inertia.
-        accelerometers: Readings of the accelerometers beside them, by name.
-        inertial_std: Std of the noise of gyroscopes, rad/s, and accelerometers, m/s².
-        channel: The channel beside the backbone that the coil slides in, if there is one.
+        mocap_std: Standard deviation of motion capture's noise (6,), [linear m, angular rad].
+        tendons: Displacements of the tendons, or None if they are not recorded.
+        gyros: Readings of gyroscopes by name; empty for a quasi-static motion.
+        accelerometers: Readings of accelerometers by name; empty for a quasi-static motion.
+        inertial_std: Standard deviations of gyroscopes, rad/s, and accelerometers, m/s².
+        channel: Channel beside the backbone in which the coil slides, or None.
     """
 
     name: str
@@ -64,9 +64,9 @@ class Session(ShortRepr):
     channel: Channel | None = None
 
     def streams(self) -> list[Stream]:
-        """All streams in the world frame, truth marked: `Recording.of` makes a recording of them.
+        """All streams in the world frame, with truth marked, as arguments for `Recording.of`.
 
-        Their noise is the robot file's where it is not stated.
+        Streams without stated noise have that of the robot file.
         """
         coil = self.coil.sensor.in_frame(self.coil.values, self.T_wt)
         rows = replace(self.coil, values=coil)
@@ -74,7 +74,7 @@ class Session(ShortRepr):
 
     @property
     def _own(self) -> list[Stream]:
-        """The streams as they are recorded, the coil's in the tracker's frame."""
+        """Streams as recorded, with the coil in the tracker's frame."""
         settings: dict[str, Any] = {"keep_repeats": True, "frame": "tracker"}
         streams = [Stream("coil", self.coil, channel=self.channel, **settings)]
         streams += [
@@ -101,21 +101,20 @@ def simulate_session(
     tendons: bool = False,
     channel: Channel | None = None,
 ) -> Session:
-    """What the bench's sensors record of a motion while the coil slides along a path.
+    """Simulate the readings of the bench's sensors during a motion and a slide of the coil.
 
-    Switching one of the imperfections off leaves the draws of the others as they were.
+    Random draws of the imperfections are independent: switching one off does not change the others.
 
     Args:
         bench: The robot with its sensors.
-        motion: Its shapes.
+        motion: Motion of the robot.
         path: Path of the slide.
-        seed: Seed of all noise, from 0 up.
-        duration: Length of the session, s; until motion and path end unless given.
-        flaws: Imperfections; the bench's unless given.
+        seed: Seed of all noise, ≥ 0.
+        duration: Duration of the session, s; by default until motion and path end.
+        flaws: Imperfections; the bench's if None.
         name: Name of the session.
         tendons: Whether displacements of the tendons are recorded.
-        channel: The channel beside the backbone that the coil slides in; on the backbone unless
-            given.
+        channel: Channel beside the backbone in which the coil slides; None for the backbone.
 
     Raises:
         SimulationError: The duration or the seed is impossible, the coil would leave the robot, or
@@ -154,7 +153,7 @@ def simulate_session(
 def _inertial(
     bench: Bench, motion: Motion | DynamicMotion, lasts: float, flaws: Imperfections, seed: int
 ) -> tuple[dict[str, Rows], dict[str, Rows]]:
-    """Rows of gyros and of accelerometers by name; none of a motion that is a row of shapes."""
+    """Rows of gyroscopes and accelerometers by name; empty for a quasi-static motion."""
     gyros: dict[str, Rows] = {}
     accelerometers: dict[str, Rows] = {}
     if isinstance(motion, DynamicMotion):
@@ -169,7 +168,7 @@ def _inertial(
 def _tendon_rows(
     bench: Bench, motion: Motion | DynamicMotion, time: Array, rng: np.random.Generator
 ) -> Rows:
-    """What servos report of tendons that do not stretch, at times (M,)."""
+    """Displacements of inextensible tendons as reported by servos, at times (M,)."""
     channels = np.array([tendon.channel() for tendon in bench.tendons]).T
     ends = np.array([tendon.end for tendon in bench.tendons])
     settings = dict(zip(("radius", "angle", "pitch"), channels, strict=True)) | {"end": ends}
@@ -189,11 +188,10 @@ def _require_coil_on_robot(bench: Bench, path: SlidePath) -> None:
 
 
 def write_session(session: Session, folder: Path, robot: str | Path, **more: Any) -> list[Path]:
-    """Write a recording folder, whole or not at all; returns its files.
+    """Write a recording folder, completely or not at all; returns its files.
 
     `robot` is the name of a shipped robot or a robot file, which is copied into the folder; `more`
-    are further fields of recording.toml. Raises
-    SimulationError when the folder holds something already.
+    are further fields of recording.toml. Raises SimulationError if the folder is not empty.
     """
     with new_folder(folder, SimulationError) as building:
         frames = {"tracker": session.T_wt}

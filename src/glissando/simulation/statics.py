@@ -1,4 +1,4 @@
-"""The static shape of a loaded rod: equilibrium at Gauss points, solved by Newton's method."""
+"""Static shape of a loaded rod: equilibrium at Gauss points, solved by Newton's method."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from glissando.simulation.rod_equations import AppliedLoads, Balance, RodEquatio
 from glissando.simulation.rod_mechanics import matrices
 from glissando.simulation.shape import Shape
 
-_CLOSE = 1e-10  # residual in strain at which a shape is found
-_SMOOTH = 3e-8  # rad that what an element cannot resolve may turn the rod by
+_CLOSE = 1e-10  # residual in strain at which the iteration has converged
+_SMOOTH = 3e-8  # rad: largest rotation by unresolved modes of strain
 _ITERATIONS = 25
-_SMALLEST_STEP = 1e-4  # of the load, when it has to be put on bit by bit
-_LONGEST = 4.0  # rad a step may turn the rod by: a longer one may land on another branch
-_FINEST = 64  # elements the length may be divided into
+_SMALLEST_STEP = 1e-4  # of the load, in load stepping
+_LONGEST = 4.0  # rad: largest rotation of a step, as longer ones may reach another branch
+_FINEST = 64  # refinement ends at elements of this fraction of the length
 
 
 def solve_shape(
@@ -33,22 +33,22 @@ def solve_shape(
     start: Shape | None = None,
     stable: bool = True,
 ) -> Shape:
-    """The stable static shape that the unloaded rod takes when the loads are put on.
+    """Static shape of a rod under loads, near `start` or continued from the unloaded shape.
 
-    Elements are halved until strain is resolved, or a 64th of the length long where the rest strain
-    itself jumps.
+    Elements are halved until strain is resolved, or, where the rest strain itself jumps, until they
+    are shorter than 1/64 of the length.
 
     Args:
         rod: The rod.
-        tendons: Its tendons.
-        loads: What acts on it.
-        start: A shape under similar loads, which saves iterations.
-        stable: Whether the shape has to be one that the rod would keep; if not, any equilibrium
-            near `start` is one, as of solvers that do not ask.
+        tendons: Tendons of the rod.
+        loads: External loads.
+        start: Shape under similar loads, as an initial guess.
+        stable: Whether the shape must be a stable equilibrium; if False, unstable equilibria are
+            accepted too, as by solvers without a stability test.
 
     Raises:
         SimulationError: Tendons or loads are impossible.
-        NoShapeError: The rod buckles on the way, or no shape is found.
+        NoShapeError: The rod buckles during loading, or the iteration does not converge.
     """
     require_possible(rod, tendons, loads)
     breaks = [0.0, rod.length, *(t.end for t in tendons), *(w.arclength for w in loads.wrenches)]
@@ -67,17 +67,17 @@ def settle(
     *,
     start: Shape | None = None,
 ) -> Shape:
-    """The stable static shape of an equilibrium, on a mesh that resolves it.
+    """Solve an equilibrium on a mesh that is refined until strain is resolved.
 
     Args:
-        equilibrium: The equilibrium on a mesh.
+        equilibrium: Function of a mesh that returns the equilibrium on it.
         rod: The rod.
-        breaks: Where the mesh needs edges, m.
-        mesh: The mesh to use; found, unless given.
-        start: A shape under similar loads.
+        breaks: Arclengths at which the mesh needs edges, m.
+        mesh: Mesh to use without refinement, or None.
+        start: Shape under similar loads, as an initial guess.
 
     Raises:
-        NoShapeError: The rod buckles on the way, or no shape is found.
+        NoShapeError: The rod buckles during loading, or the iteration does not converge.
     """
     largest, guess, given = rod.length / 2.0, None, mesh is not None
     if mesh is None and start is not None and start.mesh.has(breaks):
@@ -95,19 +95,19 @@ def settle(
 
 
 def resample(mesh: Mesh, strain: Array, other: Mesh) -> Array:
-    """Strain (G', 6) at the points of another mesh of the same rod."""
+    """Interpolate strain (G, 6) to the points of another mesh of the same rod: (G', 6)."""
     each = np.broadcast_to(strain, (other.points.size, *strain.shape))
     return mesh.interpolate(each, other.points)
 
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """A rod on a mesh under loads that do not change.
+    """Equilibrium of a rod on a mesh under constant loads.
 
     Attributes:
-        equations: The rod with its tendons on a mesh.
-        instant: What acts on it.
-        stable: Whether a shape that the rod would not keep is none.
+        equations: Equations of the rod with its tendons on a mesh.
+        instant: Loads on the rod.
+        stable: Whether unstable equilibria are rejected.
     """
 
     equations: RodEquations
@@ -116,7 +116,7 @@ class Equilibrium:
 
     @staticmethod
     def of(rod: Rod, tendons: Sequence[Tendon], loads: Loads, mesh: Mesh) -> Equilibrium:
-        """The equilibrium of a rod on a mesh with an edge at every tendon's end and load."""
+        """Equilibrium of a rod on a mesh that has an edge at every tendon's end and load."""
         cables = np.zeros((len(tendons), 4))
         cables[:, 0], cables[:, 3] = loads.tensions, [tendon.friction for tendon in tendons]
         sites = beyond_base([site(mesh, wrench) for wrench in loads.wrenches])
@@ -125,7 +125,7 @@ class Equilibrium:
         return Equilibrium(RodEquations.of(rod, tendons, mesh), instant)
 
     def loaded_strain(self, guess: Array | None) -> Array:
-        """Strain (G, 6) under the whole load, which is put on bit by bit if it must be."""
+        """Strain (G, 6) under the full load, from the guess or by stepping the load from zero."""
         warm = None if guess is None else self._newton(guess, 1.0)
         if warm is not None:
             return warm
@@ -146,9 +146,10 @@ class Equilibrium:
         return strain
 
     def _newton(self, strain: Array, share: float) -> Array | None:
-        """An equilibrium near `strain` under a share of the loads, stable if it has to be, or None.
+        """Equilibrium strain near `strain` under a share of the loads, or None if not found.
 
-        A derivative is kept for as long as each step with it makes the residual five times smaller.
+        None also if the equilibrium is unstable and `stable` is set. The factored Jacobian is
+        reused while each step reduces the residual by a factor of five.
         """
         here = self._at(strain, share)
         size, slope = self._size(here), None
@@ -179,7 +180,7 @@ class Equilibrium:
     def _shorten(
         self, strain: Array, step: Array, share: float, size: float
     ) -> tuple[Array, Balance, float]:
-        """Where a step leads, halved up to three times if the residual would grow."""
+        """Strain, balance and residual after a step, halved up to three times if it increases."""
         shorter = 1.0
         while True:
             trial = strain - shorter * step
@@ -190,23 +191,23 @@ class Equilibrium:
             shorter *= 0.5
 
     def _at(self, strain: Array, share: float) -> Balance:
-        """The balance of a strain under a share of the loads."""
+        """Static balance of a strain under a share of the loads."""
         state = np.stack([strain, np.zeros_like(strain), np.zeros_like(strain)])
         return self.equations.at(state, self.instant.share(share))
 
     def _size(self, here: Balance) -> float:
-        """Largest residual, in strain."""
+        """Largest residual in units of strain, as residual over stiffness."""
         return float(np.abs(here.residual / self.equations.rod.stiffness).max())
 
     def _slope(self, here: Balance, share: float) -> Array:
-        """Derivative (6G, 6G) of the residual by strain, each row times its point's weight."""
+        """Jacobian (6G, 6G) of the residual with respect to strain, rows times Gauss weights."""
         instant = self.instant.share(share)
         if instant.planes.size or np.any(instant.sites[:, 10]):
             return matrices(self.equations, here, instant).stiffness
         return self.equations.stiffness(here, instant.cables)
 
     def _is_stable(self, slope: Array) -> bool:
-        """Whether the potential energy has a minimum here: its Hessian is positive definite."""
+        """Whether the potential energy is at a minimum: its Hessian is positive definite."""
         mesh, rod = self.equations.mesh, self.equations.rod
         scale = 1.0 / np.sqrt(mesh.weights[:, None] * rod.stiffness).ravel()
         hessian = scale[:, None] * slope * scale
@@ -217,13 +218,13 @@ class Equilibrium:
         return True
 
     def shape(self, strain: Array) -> Shape:
-        """The shape, with what its material carries."""
+        """Shape with this strain (G, 6)."""
         rod, mesh = self.equations.rod, self.equations.mesh
         return Shape(rod, mesh, strain, mesh.roll_out(strain, rod.base)[1])
 
 
 def site(mesh: Mesh, wrench: Wrench) -> Array:
-    """A dead load at an edge of a mesh, as a row (12,) of `AppliedLoads.sites`."""
+    """Row (12,) of `AppliedLoads.sites` for a dead load at an edge of a mesh."""
     row = np.zeros(12)
     row[0] = np.abs(mesh.edges - wrench.arclength).argmin() - 1
     row[1:4], row[4:7] = wrench.force, wrench.moment
@@ -231,6 +232,6 @@ def site(mesh: Mesh, wrench: Wrench) -> Array:
 
 
 def beyond_base(rows: Sequence[Array]) -> Array:
-    """Those of the rows (12,) of loads (E, 12) that act beyond the base, which holds the others."""
+    """Rows (E, 12) of loads that act beyond the base; loads at the base do not load the rod."""
     sites = np.reshape(rows, (-1, 12))
     return sites[sites[:, 0] >= 0.0]

@@ -1,7 +1,7 @@
-"""What the sensors say: an electromagnetic coil on a slide, and motion capture to judge by.
+"""Simulated readings of an electromagnetic coil on a slide, motion capture and inertial sensors.
 
-A tracker's error is mostly not white: it depends on where in the field the coil is, so that reading
-the same place again does not average it away.
+Most of a tracker's error is not white: it depends on the coil's position in the field, so repeated
+readings at one place do not average it out.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from glissando.simulation.imperfections import Imperfections, SmoothField
 from glissando.simulation.motion import Motion
 from glissando.simulation.rod import Tendon
 
-_EXPOSED = (np.arange(5) + 0.5) / 5.0  # shares of an exposure at which the coil is looked at
+_EXPOSED = (np.arange(5) + 0.5) / 5.0  # fractions of an exposure at which the pose is sampled
 
 
 def coil_rows(
@@ -32,23 +32,23 @@ def coil_rows(
     rng: np.random.Generator,
     channel: Tendon | None = None,
 ) -> Rows:
-    """What a coil on the slide reports.
+    """Simulate the readings of a coil on the slide.
 
     Args:
-        motion: Shapes of the robot.
+        motion: Motion of the robot.
         path: Path of the slide.
         time: Times of the readings (M,), s.
-        offset: Place of the coil, from the tip, at displacement zero, m.
+        offset: Arclength of the coil minus the robot's length at displacement zero, m.
         T_wt: Pose of the tracker (4, 4).
         flaws: Imperfections of the coil and its slide.
-        rng: Source of their draws.
-        channel: The channel beside the backbone that the coil slides in, if there is one; its
-            travel from the base then stands in the place of the arclength.
+        rng: Random generator.
+        channel: Channel beside the backbone in which the coil slides, or None; rows then have the
+            distance along the channel from the base as arclength.
 
     Returns:
-        Rows in the tracker's frame, less drop-outs, at arclengths as the motor's encoder has them.
+        Rows in the tracker's frame without drop-outs, at arclengths by the motor's encoder.
     """
-    streams = iter(rng.spawn(7))  # a stream a part: switching one off leaves the others as they are
+    streams = iter(rng.spawn(7))  # one per part: switching a part off does not change the others
     commanded = path.at(time)
     encoded = commanded + flaws.encoder * next(streams).standard_normal(time.size)
     length = motion.rod.length
@@ -69,7 +69,7 @@ def coil_rows(
 
 
 def _coil_at(path: SlidePath, time: Array, flaws: Imperfections) -> Array:
-    """Displacement (M,) of the coil at times (M,) that increase but for those of one exposure."""
+    """Displacements (M,) of the coil, with play and drive tube, at times (M,) in any order."""
     sequence = np.sort(time)
     back = np.searchsorted(sequence, time)
     if flaws.drive_stiffness <= 0.0:
@@ -86,7 +86,7 @@ def _coil_at(path: SlidePath, time: Array, flaws: Imperfections) -> Array:
 
 
 def _mean(poses: Array) -> Array:
-    """Mean poses (M, 4, 4) of several (M, J, 4, 4) that lie close together."""
+    """Mean poses (M, 4, 4) of J close poses (M, J, 4, 4) each."""
     if poses.shape[1] == 1:
         return poses[:, 0]
     first = poses[:, :1]
@@ -94,7 +94,7 @@ def _mean(poses: Array) -> Array:
 
 
 def _follow(commanded: Array, width: float) -> Array:
-    """Where the coil is when it follows the motor with play of `width` metres between them."""
+    """Displacements (M,) of a coil that follows the motor with a play of `width` metres."""
     goals, play = commanded.tolist(), 0.5 * width
     real = goals[:1]
     for goal in goals[1:]:
@@ -103,7 +103,7 @@ def _follow(commanded: Array, width: float) -> Array:
 
 
 def _play(rng: np.random.Generator, arclength: Array, clearance: float) -> Array:
-    """Poses (M, 4, 4) of the inner tube in the outer one, which it touches along a smooth line."""
+    """Poses (M, 4, 4) of the inner tube in the outer one, in contact along a smooth random line."""
     around = SmoothField.draw(rng, 1, 1, 0.15)
     start = rng.uniform(0.0, 2.0 * np.pi)
 
@@ -119,15 +119,15 @@ def _play(rng: np.random.Generator, arclength: Array, clearance: float) -> Array
 def _tracker_error(
     white: np.random.Generator, spatial: np.random.Generator, pose: Array, flaws: Imperfections
 ) -> Array:
-    """Twists (M, 6) of white noise and of bias."""
+    """Twists (M, 6) of the tracker's white noise and bias."""
     noise = white.standard_normal((len(pose), 5))
     return error_twists(noise, SmoothField.draw(spatial, 3, 5, flaws.bias_length), pose, flaws)
 
 
 def error_twists(noise: Array, field: SmoothField, pose: Array, flaws: Imperfections) -> Array:
-    """Twists (M, 6) by which the tracker errs at poses (M, 4, 4); tilts only, roll is not seen.
+    """Twists (M, 6) of the tracker's errors at poses (M, 4, 4), without roll, which is unobserved.
 
-    White `noise` (M, 5) and the bias's `field` of place are of unit variance.
+    White `noise` (M, 5) and the bias `field` have unit variance and are scaled by `flaws`.
     """
     place = pose[:, :3, 3]
     white, bias = np.zeros((2, len(pose), 6))
@@ -136,7 +136,7 @@ def error_twists(noise: Array, field: SmoothField, pose: Array, flaws: Imperfect
     white *= size * np.repeat([flaws.jitter, flaws.jitter_angle], 3)
     bias *= size * np.repeat([flaws.bias, flaws.bias_angle], 3)
     distance = np.linalg.norm(place - flaws.field_centre, axis=1, keepdims=True)
-    # the noise is stated in the tracker's axes or the coil's alike; bias belongs to the place
+    # white noise is isotropic, so its axes do not matter; bias is a field in world axes
     bias[:, :3] = np.einsum("mji,mj->mi", pose[:, :3, :3], bias[:, :3])
     return (1.0 + (distance / flaws.field_size) ** 2) * (white + bias)
 
@@ -147,21 +147,21 @@ def _registration(rng: np.random.Generator, flaws: Imperfections) -> Array:
 
 
 def rolled(pose: Array, roll: str, rng: np.random.Generator) -> Array:
-    """Poses (M, 4, 4) in the tracker's frame with the roll that it reports."""
+    """Poses (M, 4, 4) in the tracker's frame with the reported roll, see `Imperfections.roll`."""
     if roll == "true":
         return pose
     if roll == "arbitrary":
         turn = np.zeros(6)
         turn[5] = rng.uniform(-np.pi, np.pi)
         return pose @ se3.exp(turn)
-    axis = pose[:, :3, 2]  # least rotation that takes the tracker's z onto the coil's
+    axis = pose[:, :3, 2]  # least rotation from the tracker's z to the coil's
     out = np.array(pose)
     out[:, :3, :3] = se3.least_turn(axis)
     return out
 
 
 def _received(rng: np.random.Generator, time: Array, flaws: Imperfections) -> np.ndarray:
-    """Which rows (M,) are not lost in a drop-out."""
+    """Mask (M,) or indices of the rows outside drop-outs; at least one row is kept."""
     received = np.ones(time.size, dtype=bool)
     span = float(np.ptp(time))
     for start in rng.uniform(time[0], time[-1], rng.poisson(flaws.dropouts * span)):
@@ -176,7 +176,7 @@ def mocap_rows(
     flaws: Imperfections,
     rng: np.random.Generator,
 ) -> Rows:
-    """What motion capture reports of the frame at one arclength (m): times (M,), world frame."""
+    """Simulate motion capture of the frame at one arclength (m), at times (M,), in the world."""
     place = np.full(time.size, arclength)
     noise = rng.standard_normal((time.size, 6)) / np.sqrt(3.0)
     noise *= np.repeat([flaws.mocap, flaws.mocap_angle], 3)
@@ -190,10 +190,10 @@ def inertial_rows(
     flaws: Imperfections,
     rng: np.random.Generator,
 ) -> tuple[Rows, Rows]:
-    """What a gyroscope and an accelerometer say, aligned with the body at one arclength (m).
+    """Simulate a gyroscope and an accelerometer at one arclength (m), aligned with the body.
 
     Returns:
-        Angular velocities, and specific forces, m/s²: acceleration less gravity.
+        Angular velocities, rad/s, and specific forces (acceleration minus gravity), m/s².
     """
     place = np.full(time.size, arclength)
     at, noise = motion.at(place, time), rng.standard_normal((2, time.size, 3))

@@ -1,4 +1,4 @@
-"""Rods that move: inertia, damping, tendons that change, contacts, a base that moves."""
+"""Dynamics of rods: inertia, damping, varying tendons, contacts and a moving base."""
 
 from glissando.simulation.dynamics.base_motion import BaseMotion
 from glissando.simulation.dynamics.integrate import simulate_motion

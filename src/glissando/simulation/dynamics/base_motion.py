@@ -1,4 +1,4 @@
-"""A base that moves from pose to pose, at rest at each."""
+"""Motion of the base between poses, at rest at each pose."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from glissando.geometry.se3 import Array
 
 @dataclass(frozen=True)
 class BaseMotion:
-    """A base that goes from pose to pose along screws, with 10 x³ − 15 x⁴ + 6 x⁵ of each in time.
+    """Motion of the base between poses along screws, with the time profile 10 x³ − 15 x⁴ + 6 x⁵.
 
     Velocity and acceleration are zero at every pose and continuous everywhere.
 
@@ -22,7 +22,7 @@ class BaseMotion:
         pose: Poses T_wb (K, 4, 4) of the base at these times.
 
     Raises:
-        SimulationError: Times do not increase.
+        SimulationError: Times do not increase, or are not one per pose.
     """
 
     time: Array
@@ -35,7 +35,10 @@ class BaseMotion:
             )
 
     def at(self, time: float) -> tuple[Array, Array]:
-        """Pose (4, 4) and rates (4, 3): velocity, angular velocity, their derivatives (world)."""
+        """Pose (4, 4) and rates (4, 3) at a time, s.
+
+        Rates are velocity, angular velocity and their time derivatives in world axes.
+        """
         last = self.time.size - 1
         k = int(np.clip(np.searchsorted(self.time, time, "right") - 1, 0, max(last - 1, 0)))
         rates = np.zeros((4, 3))

@@ -1,7 +1,7 @@
-"""Implicit Runge–Kutta methods by collocation, as they are used on an equation of second order.
+"""Implicit Runge–Kutta methods by collocation, for equations of second order.
 
-Radau's points end with the step: the method is of order 2 s − 1, and damps what a step cannot
-resolve. Gauss's points give order 2 s and keep quadratic energies for ever. Source: Hairer and
+Radau points include the end of the step: the method has order 2 s − 1 and damps modes that a step
+does not resolve. Gauss points give order 2 s and conserve quadratic energies. Source: Hairer and
 Wanner 1996, sections IV.5 and IV.8.
 """
 
@@ -20,7 +20,7 @@ _GAUSS = 0.5 * (1.0 + legendre.leggauss(3)[0])
 
 @dataclass(frozen=True)
 class Collocation:
-    """A method with stages at `nodes` (s,) of a step; A (s, s) and b (s,) integrate from its start.
+    """Method with stages at the fractions `nodes` (s,) of a step and coefficients A (s, s), b (s,).
 
     `values` (s,) and `modes` (s, s) are the eigenvalues and eigenvectors of A.
     """
@@ -33,7 +33,7 @@ class Collocation:
 
     @staticmethod
     def at(nodes: Array) -> Collocation:
-        """The method that collocates at the given nodes."""
+        """Method with collocation at the given nodes."""
         powers = np.arange(nodes.size)
         to_modes = np.linalg.inv(nodes[:, None] ** powers)
         A = (nodes[:, None] ** (powers + 1) / (powers + 1)) @ to_modes
@@ -42,11 +42,11 @@ class Collocation:
         return Collocation(nodes, A, b, values, modes)
 
     def extrapolate(self, places: Array) -> Array:
-        """Matrix (P, s) from values at the nodes to those at other places (P,) of the step."""
+        """Matrix (P, s) that interpolates values at the nodes to fractions (P,) of the step."""
         powers = np.arange(self.nodes.size)
         matrix: Array = (places[:, None] ** powers) @ np.linalg.inv(self.nodes[:, None] ** powers)
         return matrix
 
 
 METHODS = {"radau": Collocation.at(_RADAU), "gauss": Collocation.at(_GAUSS)}
-"""Methods of three stages by name."""
+"""Three-stage methods by name."""

@@ -1,8 +1,8 @@
-"""The motion of a rod through time: implicit steps, as long as the error of each allows.
+"""Time integration of a rod's motion by implicit steps with error control.
 
-A step collocates (see `collocation`) the balance M(q) a + D v + K(q) … = 0 of strains q, whose
-poses are rolled out from the base: strains are a vector space, so no step leaves the group.
-Source: Hairer and Wanner 1996, sections IV.8 (Newton, error and step).
+A step collocates (see `collocation`) the balance M(q) a + D v + K(q) … = 0 of strains q, which are
+integrated to poses from the base: strains are a vector space, so poses stay in the group.
+Source: Hairer and Wanner 1996, section IV.8 (Newton iteration, error and step size).
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from glissando.simulation.rod_equations import AppliedLoads, Balance, RodEquatio
 from glissando.simulation.rod_mechanics import Matrices, energies, matrices, powers
 from glissando.simulation.statics import Equilibrium, settle
 
-_NEWTON = 1e-3  # share of the tolerance within which a step's equations are solved
+_NEWTON = 1e-3  # of the tolerance, to which a step's equations are solved
 _ITERATIONS = 12
-_FIRST = 1e-4  # s of the first step after something jumped
+_FIRST = 1e-4  # s: first step after an event
 _LONGEST = 0.05  # s
 _SHORTEST = 1e-9  # s
 _STEPS = 2_000_000
@@ -46,24 +46,24 @@ def simulate_motion(
     start: tuple[Array, Array] | None = None,
     mesh: Mesh | None = None,
 ) -> DynamicMotion:
-    """How a rod moves from rest, or from a given start, while a scenario acts on it.
+    """Simulate the motion of a rod under a scenario, from rest or from a given state.
 
     Args:
         rod: The rod, with its mass and damping.
-        tendons: Its tendons.
-        scenario: What happens to it.
-        duration: How long, s.
-        tolerance: Position error of a step, as a share of the rod's length.
-        step: Length of every step, s; chosen by the error unless given.
-        method: 'radau', of order 5, which damps what a step cannot resolve, or 'gauss', of order 6,
-            which keeps the energy of an undamped rod and needs a `step`.
-        start: Strain and its derivative by time (G, 6) at the points of `mesh`; the static shape
-            under what acts at first unless given.
-        mesh: The points, with an edge where anything acts; the static shape's unless given.
+        tendons: Tendons of the rod.
+        scenario: Tendons, loads, contacts and base over time.
+        duration: Duration, s.
+        tolerance: Position error per step, as a fraction of the rod's length.
+        step: Constant step length, s; adaptive if None.
+        method: 'radau', of order 5, which damps modes that a step does not resolve, or 'gauss', of
+            order 6, which conserves the energy of an undamped rod and needs a `step`.
+        start: Strain and strain rate, both (G, 6), at the points of `mesh`; by default at rest in
+            the static shape under the initial loads.
+        mesh: Mesh with an edge wherever a load acts; by default that of the static shape.
 
     Raises:
-        SimulationError: What is asked for cannot be.
-        NoShapeError: The rod has no static shape to start from, or a step cannot be solved.
+        SimulationError: An argument is impossible.
+        NoShapeError: The rod has no initial static shape, or a step cannot be solved.
     """
     _require(rod, tendons, scenario, duration, tolerance)
     if method not in METHODS:
@@ -119,7 +119,7 @@ def _require(
 
 @dataclass
 class _Run:
-    """One motion: its equations, method and what steps hand on to each other."""
+    """Integration of one motion: equations, method, and state carried between steps."""
 
     acting: ScenarioLoads
     method: Collocation
@@ -127,7 +127,7 @@ class _Run:
     fixed: float | None
     slopes: Matrices = field(init=False)
     factors: dict[float, list[tuple[Array, Array]]] = field(default_factory=dict)
-    stages: Array | None = None  # accelerations of the last step, and how long it was
+    stages: Array | None = None  # accelerations of the last step, whose length is `span`
     span: float = 0.0
     moments: list[Moment] = field(default_factory=list)
 
@@ -136,12 +136,12 @@ class _Run:
         self.square = self.method.A @ self.method.A
 
     def size(self, strain: Array) -> float:
-        """How far (m) a change of strain (…, G, 6) moves the rod or a tenth of its length on it."""
+        """Largest displacement (m) by changes of strain (…, G, 6), see `Matrices.moves`."""
         flat = strain.reshape(-1, self.acting.equations.size)
         return float(np.abs(flat @ self.slopes.moves.T).max())
 
     def through(self, duration: float, strain: Array, rate: Array) -> DynamicMotion:
-        """The motion from a start until `duration`, from event to event."""
+        """Integrate from a state at 0 until `duration`, interval by interval between events."""
         events = self.acting.scenario.events
         inner = events[(events > 0.0) & (events < duration)]
         for begin, end in pairwise([0.0, *inner.tolist(), duration]):
@@ -151,7 +151,7 @@ class _Run:
         return DynamicMotion.of(self.acting, self.moments)
 
     def _stretch(self, begin: float, end: float, strain: Array, rate: Array) -> None:
-        """Go from one event to the next."""
+        """Integrate from one event to the next."""
         middle, time = 0.5 * (begin + end), begin
         self._begin(begin, middle, strain, rate)
         step = self.fixed or min(_FIRST, end - begin)
@@ -182,7 +182,7 @@ class _Run:
                 step = min(span * min(factor, 4.0), _LONGEST)
 
     def _begin(self, time: float, middle: float, strain: Array, rate: Array) -> None:
-        """Note the state in which a stretch begins."""
+        """Append the state at the beginning of an interval between events."""
         equations, state = self.acting.equations, np.stack([strain, rate, np.zeros_like(rate)])
         points = len(equations.rest)
         at = equations.at(state, self.acting.at(time, middle))
@@ -197,12 +197,12 @@ class _Run:
         self.factors = {}
 
     def _renew(self, time: float, middle: float) -> None:
-        """Renew the matrices at the last state."""
+        """Recompute the matrices at the last accepted state."""
         instant = self.acting.at(time, middle)
         self._refresh(self.acting.equations.at(self.moments[-1].state, instant), instant)
 
     def _factored(self, span: float) -> list[tuple[Array, Array]]:
-        """LU factors of M + h λ D + h² λ² K for each eigenvalue λ above or on the real axis."""
+        """LU factors of M + h λ D + h² λ² K for each eigenvalue λ with Im λ ≥ 0."""
         if span not in self.factors:
             mass, damping, stiffness, _ = self.slopes
             self.factors = {span: []}
@@ -217,9 +217,9 @@ class _Run:
     def _step(
         self, time: float, span: float, middle: float, strain: Array, rate: Array
     ) -> tuple[Array, float, Moment] | None:
-        """Accelerations of the stages, the error (m) and the state at the end of a step, if found.
+        """Accelerations of the stages, error (m) and state at the end of a step; None on failure.
 
-        When the iteration fails, it is tried again with matrices of where it got to.
+        If the iteration fails, it is repeated once with matrices at the last iterate.
         """
         instants = [self.acting.at(time + c * span, middle) for c in self.method.nodes]
         solved, states, balances, quick = self._newton(instants, span, strain, rate)
@@ -252,7 +252,11 @@ class _Run:
     def _newton(
         self, instants: list[AppliedLoads], span: float, strain: Array, rate: Array
     ) -> tuple[Array | None, Array, list[Balance], bool]:
-        """Accelerations (s, G, 6) that balance the stages; None unless found; whether soon."""
+        """Solve the stages' balance by Newton's method.
+
+        Returns accelerations (s, G, 6) or None, states and balances of the stages, and whether
+        convergence was fast.
+        """
         method, equations = self.method, self.acting.equations
         weights, shape = equations.mesh.weights[:, None], strain.shape
         acceleration = self._guess(span, shape)
@@ -283,14 +287,14 @@ class _Run:
         return None, states, balances, False
 
     def _guess(self, span: float, shape: tuple[int, ...]) -> Array:
-        """The last step's polynomial of accelerations, continued."""
+        """Initial accelerations (s, G, 6), extrapolated from the last step's polynomial."""
         if self.stages is None:
             return np.zeros((self.method.nodes.size, *shape))
         places = 1.0 + self.method.nodes * span / self.span
         return np.tensordot(self.method.extrapolate(places), self.stages, 1)
 
     def _solve(self, work: Array, span: float) -> Array:
-        """The change (s, n) that cancels weighted residuals (s, n), eigenvalue by eigenvalue."""
+        """Newton step (s, n) for weighted residuals (s, n), decoupled by the eigenvalues of A."""
         parts, change = self.back @ work, np.zeros(work.shape)
         factors = iter(self._factored(span))
         for k, value in enumerate(self.method.values):
@@ -304,7 +308,7 @@ class _Run:
         return change
 
     def _error(self, stages: Array, span: float) -> float:
-        """Position error of a step (m), from the jump of acceleration where it begins.
+        """Position error of a step (m), from the jump of acceleration at its beginning.
 
         Source: Hairer and Wanner 1996, equation (IV.8.19), for the equation of second order.
         """

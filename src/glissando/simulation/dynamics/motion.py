@@ -1,4 +1,4 @@
-"""A motion that was computed: poses, velocities, accelerations and loads at any place and time."""
+"""Simulated motion with inertia: poses, velocities, accelerations and loads at any point."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _CHUNK = 500  # queries at a time, to bound memory
 
 
 class Moment(NamedTuple):
-    """The end of a step: state (3, G, 6), energies (3,) and works so far (3,), J.
+    """End of a step: state (3, G, 6), energies (3,) and accumulated works (3,), J.
 
-    `base` is force and moment on the base (2, 3), `tension` that of tendons (T,), and `begins`
-    whether a stretch begins here.
+    `base` is force and moment on the base (2, 3), `tension` the tendons' tensions (T,), and
+    `begins` whether an interval after an event begins here.
     """
 
     time: float
@@ -35,13 +35,14 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True)
 class MovingSection(Section):
-    """Cross-sections of a rod that moves, with the leading shape of the query.
+    """Cross-sections of a moving rod; leading dimensions are those of the query.
 
     Attributes:
         velocity: Velocity and angular velocity (…, 6), body frame.
-        acceleration: Their true derivatives, of the section's origin and of its turning, in body
-            axes (…, 6), m/s² and rad/s².
-        specific_force: What an accelerometer feels: acceleration less gravity (…, 3), body axes.
+        acceleration: Inertial linear and angular acceleration of the section (…, 6), expressed in
+            body axes, m/s² and rad/s².
+        specific_force: Acceleration minus gravity (…, 3), as measured by an accelerometer, body
+            axes, m/s².
     """
 
     velocity: Array
@@ -51,14 +52,14 @@ class MovingSection(Section):
 
 @dataclass(frozen=True)
 class Energies:
-    """Energies and works over time, J; kinetic + strain + weight = what it was + all works.
+    """Energies and accumulated works over time, J: the change of energy equals the sum of works.
 
     Attributes:
         time: Times (K,), s.
-        kinetic, strain, weight: Energies (K,).
+        kinetic, strain, weight: Kinetic, strain and gravitational potential energy (K,).
         supplied: Work of tendons, loads and the base (K,).
         contact: Work of contacts and holds (K,).
-        dissipated: Work of the material's and the air's damping, negative (K,).
+        dissipated: Work of the damping of material and air (K,), ≤ 0.
     """
 
     time: Array
@@ -76,22 +77,23 @@ class Energies:
 
     @property
     def imbalance(self) -> Array:
-        """What energies gained since the start less the works (K,): an error of integration."""
+        """Change of energy since the start minus the works (K,): the error of integration."""
         works = self.supplied + self.contact + self.dissipated
         return self.total - self.total[0] - works
 
 
 @dataclass(frozen=True)
 class DynamicMotion:
-    """A rod's motion: strains at the ends of steps, quintic in time between.
+    """Motion of a rod with inertia: strains at the ends of steps, with quintic interpolation.
 
     Attributes:
-        time: Ends of the steps (K,), s; an event stands twice.
-        state: Strain and its two derivatives by time (3, K, G, 6).
+        acting: Scenario and equations of the rod.
+        time: Ends of the steps (K,), s; the time of an event occurs twice.
+        state: Strain and its first and second time derivative (3, K, G, 6).
         energies: Energies and works at these times.
         base_wrench: Force and moment of the rod on its base (K, 6), world axes.
         tensions: Tension of each tendon at the base (K, T), N.
-        begins: Which of the times begin a stretch after an event (K,).
+        begins: Whether an interval after an event begins at each time (K,).
     """
 
     acting: ScenarioLoads
@@ -104,7 +106,7 @@ class DynamicMotion:
 
     @staticmethod
     def of(acting: ScenarioLoads, moments: list[Moment]) -> DynamicMotion:
-        """The motion that consists of moments in order."""
+        """Motion with these ends of steps, in the order of time."""
         time = np.array([m.time for m in moments])
         energy, work = np.array([m.energy for m in moments]), np.array([m.work for m in moments])
         state = np.stack([m.state for m in moments], axis=1)
@@ -124,13 +126,13 @@ class DynamicMotion:
 
     @property
     def mesh(self) -> Mesh:
-        """Its Gauss points."""
+        """Mesh of the strains."""
         return self.acting.equations.mesh
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> MovingSection:
-        """Cross-sections at arclengths (m) and times (s), which broadcast together.
+        """Cross-sections at arclengths (m) and times (s), which are broadcast together.
 
-        Before the first time and after the last the state there is meant. Raises SimulationError
+        Times before the first and after the last are clipped. Raises SimulationError for arclengths
         off the rod.
         """
         s, t = np.broadcast_arrays(
@@ -151,7 +153,7 @@ class DynamicMotion:
         return MovingSection(*(part.reshape(*shape, *part.shape[1:]) for part in parts))
 
     def _rows(self, s: Array, times: Array, which: np.ndarray) -> tuple[Array, ...]:
-        """The parts of sections at arclengths (M,), each at one (M,) of the times."""
+        """Fields of `MovingSection` at arclengths (M,), each at the time of index `which` (M,)."""
         equations, mesh, points = self.acting.equations, self.mesh, len(self.acting.equations.rest)
         states, middles = self.states_at(times)
         rates = np.empty((len(times), 4, points, 3))
@@ -181,7 +183,7 @@ class DynamicMotion:
         return self.states_at(inside)[0][:, 0]
 
     def states_at(self, time: Array) -> tuple[Array, Array]:
-        """Strains and two derivatives (M, 3, G, 6) at times (M,), the middles of their steps, s."""
+        """Strains with two time derivatives (M, 3, G, 6) at times (M,), and middles of steps, s."""
         k = np.clip(np.searchsorted(self.time, time, "right") - 1, 0, self.time.size - 2)
         k = np.where(self.begins[k + 1], k - 1, k)
         low, high = self.time[k], self.time[k + 1]
@@ -190,7 +192,7 @@ class DynamicMotion:
 
 
 def _quintic(first: Array, last: Array, span: Array, x: Array) -> Array:
-    """Values and two derivatives (M, 3, …) of quintics through those at both ends of steps."""
+    """Values and two derivatives (M, 3, …) of the quintic Hermite interpolation at fractions x."""
     scale = np.stack([np.ones_like(span), span, span**2], axis=1)
     known = np.concatenate([first * scale[..., None, None], last * scale[..., None, None]], axis=1)
     k = np.arange(6)

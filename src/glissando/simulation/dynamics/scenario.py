@@ -1,4 +1,4 @@
-"""What happens to a moving rod: tendons, loads, contacts and its base over time."""
+"""Scenario of a moving rod: tendons, loads, contacts and motion of the base over time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _EVER = float("inf")
 
 @dataclass(frozen=True)
 class TimedWrench:
-    """A dead load that acts from `start` until `stop`, s."""
+    """Dead load that acts from `start` until `stop`, s."""
 
     wrench: Wrench
     start: float = -_EVER
@@ -29,18 +29,18 @@ class TimedWrench:
 
 @dataclass(frozen=True)
 class HalfSpace:
-    """Soft matter behind a plane, which pushes a rod that sinks into it.
+    """Compliant half-space behind a plane that repels a penetrating rod.
 
-    It pushes with `stiffness` times depth times (1 + `damping` times speed of sinking), never
-    pulls, and rubs with Coulomb's friction, which fades below 1 mm/s of sliding.
+    The normal force per metre is stiffness · depth · (1 + damping · speed of penetration), never
+    tensile. Coulomb friction is added, regularised below a sliding speed of 1 mm/s.
 
     Attributes:
         point: A point of the plane (3,), m.
-        normal: The direction out of it (3,), of any length.
-        stiffness: Force on a metre of rod a metre deep, N/m².
-        damping: Share of the force by speed, s/m. Source: Hunt and Crossley 1975.
+        normal: Outward direction of the plane (3,), of any length.
+        stiffness: Force per metre of rod and per metre of depth, N/m².
+        damping: Relative increase of the force with speed, s/m. Source: Hunt and Crossley 1975.
         friction: Coefficient of friction.
-        start, stop: Times from and until which it is there, s.
+        start, stop: Times between which the half-space exists, s.
     """
 
     point: ArrayLike
@@ -52,7 +52,7 @@ class HalfSpace:
     stop: float = _EVER
 
     def row(self) -> Array:
-        """The half-space as a row (9,) of `AppliedLoads.planes`."""
+        """Row (9,) of `AppliedLoads.planes` for the half-space."""
         normal = np.asarray(self.normal, dtype=float)
         size = float(np.linalg.norm(normal))
         if normal.shape != (3,) or not (np.isfinite(size) and size > 0.0):
@@ -66,14 +66,14 @@ class HalfSpace:
 
 @dataclass(frozen=True)
 class Hold:
-    """A spring with a damper that holds a point of the rod from `start` and lets go at `stop`.
+    """Spring and damper that hold a point of the rod from `start` and release it at `stop`.
 
     Attributes:
-        arclength: Where on the rod, m.
+        arclength: Arclength of the point, m.
         stiffness: Stiffness, N/m.
         damping: Damping, N s/m.
-        place: Where it is held (3,), m; where it is at `start` unless given.
-        start, stop: Times from and until which it is held, s.
+        place: Anchor (3,) in the world, m; by default the position of the point at `start`.
+        start, stop: Times between which the point is held, s.
     """
 
     arclength: float
@@ -91,21 +91,22 @@ def _require(name: str, value: float) -> None:
 
 @dataclass(frozen=True)
 class Scenario:
-    """What acts on a rod over time.
+    """Tendons, loads, contacts and motion of the base over time.
 
-    What starts at 0 or before acts at the first instant too, when the rod is still at rest, so a
-    load until 0 is one that is let go at 0.
+    Loads with start ≤ 0 ≤ stop also act on the initial static shape, so a load that stops at 0 is
+    released at 0.
 
     Attributes:
-        tensions: Tension of each tendon (T,), N, at a time in seconds; constant numbers will do.
-        displacements: How far each tendon is pulled (T,), m, in the place of tensions.
+        tensions: Function of time (s) that returns tensions (T,), N, or constant tensions.
+        displacements: Function of time (s) that returns displacements (T,) of the tendons, m,
+            which replace tensions; None if unused.
         tendon_stiffness: Stiffness of each tendon (T,), N/m, if displacements are given.
         gravity: Gravity (3,), m/s².
-        wrenches: Loads.
-        half_spaces: Soft matter.
-        holds: Points that are held.
-        base: Motion of the base; it stays unless given.
-        jumps: Times at which tensions, displacements or their slopes jump, s.
+        wrenches: Dead loads.
+        half_spaces: Compliant half-spaces.
+        holds: Springs at points of the rod.
+        base: Motion of the base; None if it is fixed.
+        jumps: Times at which tensions, displacements or their derivatives jump, s.
     """
 
     tensions: Callable[[float], Array] | ArrayLike = ()
@@ -120,7 +121,7 @@ class Scenario:
 
     @property
     def events(self) -> Array:
-        """Times at which something begins, ends or jumps, in order."""
+        """Sorted times at which loads start, stop or jump, s."""
         timed: list[TimedWrench | HalfSpace | Hold] = []
         timed += [*self.wrenches, *self.half_spaces, *self.holds]
         times = [t for each in timed for t in (each.start, each.stop)]
@@ -135,7 +136,7 @@ class Scenario:
 
 @dataclass
 class ScenarioLoads:
-    """A scenario on a rod's equations; it keeps where points were when they were taken hold of."""
+    """Scenario applied to a rod's equations, with the anchors of holds that have started."""
 
     scenario: Scenario
     equations: RodEquations
@@ -157,16 +158,17 @@ class ScenarioLoads:
         return lengths
 
     def take_hold(self, moment: float, places: Array) -> None:
-        """Note where points are that are taken hold of by a moment; `places` (E, 3) of ends."""
+        """Store the anchors of holds active at `moment` (s); `places` (E, 3) are element ends."""
         for k, hold in enumerate(self.scenario.holds):
             if k not in self.anchors and hold.start <= moment < hold.stop:
                 row = int(site(self.equations.mesh, Wrench(hold.arclength))[0])
                 self.anchors[k] = np.array(places[row] if hold.place is None else hold.place)
 
     def at(self, time: float, moment: float) -> AppliedLoads:
-        """What acts at a time, of what is there at a `moment` of the same stretch between events.
+        """Loads at a time, s, with those active that are active at `moment`, s.
 
-        At the first instant the moment is −∞ for what then ends, and 0 for what begins.
+        `moment` is any time inside the same interval between events, which resolves the ambiguity
+        at an event; a negative one selects the loads on the initial static shape.
         """
         scenario, mesh = self.scenario, self.equations.mesh
         base, rates = self.equations.rod.base, np.zeros((4, 3))
@@ -205,7 +207,7 @@ class ScenarioLoads:
 
 
 def _is_there(timed: TimedWrench | HalfSpace | Hold, moment: float) -> bool:
-    """Whether it acts; before the first instant what starts by 0 does."""
+    """Whether a load is active at `moment`, s; if negative, on the initial static shape."""
     if moment < 0.0:
         return timed.start <= 0.0 and timed.stop >= 0.0
     return timed.start <= moment < timed.stop

@@ -1,4 +1,4 @@
-"""Scenarios from TOML: what a shape file says of tensions, and what happens to a moving robot."""
+"""Scenarios of moving robots from TOML files and from actuations."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from glissando.simulation.dynamics.scenario import HalfSpace, Hold, Scenario, Ti
 from glissando.simulation.rod import Wrench
 
 _EVER = float("inf")
-_FARTHEST = 10.0  # m that a base may move or a tendon be pulled: more is another unit
+_FARTHEST = 10.0  # m: largest motion of a base or a tendon; more indicates another unit
 
 
 def scenario_of(actuation: Actuation) -> Scenario:
-    """The scenario in which an actuation's tensions change as fast as it says."""
+    """Scenario with the tensions and loads of an actuation, at its times."""
     return Scenario(
         tensions=lambda time: np.asarray(actuation.loads_at(time).tensions),
         gravity=actuation.gravity,
@@ -29,7 +29,7 @@ def scenario_of(actuation: Actuation) -> Scenario:
 def read_scenario(
     table: Table, tendons: int, gravity: Array, base: Array
 ) -> tuple[Scenario, float]:
-    """The scenario of a file, and the last of its times, s.
+    """Read the scenario of a file, and its last time, s.
 
     Keys are tensions, or displacements with tendon_stiffness, and their time; gravity; [[loads]],
     [[half_spaces]] and [[holds]], each with `from` and `until`; and [base].
@@ -37,8 +37,8 @@ def read_scenario(
     Args:
         table: The file.
         tendons: Number of tendons.
-        gravity: Gravity (3,) unless the file gives it, m/s².
-        base: Pose (4, 4) of the base from which it moves.
+        gravity: Default gravity (3,) if the file has none, m/s².
+        base: Initial pose (4, 4) of the base.
 
     Raises:
         SimulationError: A key is missing, misspelt or impossible.
@@ -116,7 +116,7 @@ def _hold(table: Table) -> Hold:
 
 
 def _base(table: Table, base: Array) -> BaseMotion | None:
-    """[base]: time, positions (m) and rotations (vectors, rad) from where it is, world axes."""
+    """Read [base]: time, positions (m) and rotation vectors (rad) from `base`, in world axes."""
     entry = table.table("base")
     if entry is None:
         return None
