@@ -1,8 +1,8 @@
-"""How far off calibrations are, and how far off they say they may be, over simulated sessions.
+"""Errors of calibrations, and their stated standard deviations, over simulated sessions.
 
-Run it as `python benchmarks/calibration.py` for the table of docs/calibration.md, from seeds by
-which nothing was chosen; with `--development` for those by which motion, noise and method were, and
-with `--motions` for what motions of a session leave unknown, by the Fisher information.
+`python benchmarks/calibration.py` prints the table of docs/calibration.md, from seeds that were not
+used for any choice; `--development` uses the seeds by which motion, noise and method were chosen;
+`--motions` prints the standard deviations that motions of one session leave, by Fisher information.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from glissando import load_robot
 from glissando.calibration.rig.calibrate import calibrate
 from glissando.calibration.rig.rig import PARAMETERS
 
-SHOWN = {  # of the parameters: what it is called, 1 / unit, what is asked for
+SHOWN = {  # by parameter: label, factor to the unit, largest error allowed
     "tracker delay": ("tracker's delay, ms", 1e3, 2.0),
     "slide delay": ("slide's delay, ms", 1e3, 2.0),
     "zero": ("slide's zero, mm", 1e3, 0.3),
@@ -40,7 +40,7 @@ MOTIONS = (  # bends, slide, s
 
 
 def motions() -> None:
-    """Print what is left unknown of one rig by each motion, with play among what is sought."""
+    """Print the standard deviations of one rig's constants, play included, after each motion."""
     shown = [SHOWN[name] for name in SHOWN]
     print("| bends | slide | s | " + " | ".join(told for told, _, _ in shown) + " |")
     print("|---|---|---|" + "---|" * len(shown))
@@ -57,7 +57,7 @@ def motions() -> None:
 
 
 def main() -> int:
-    """Print the table; the exit status is 1 when something is not as asked for."""
+    """Print the table; the exit status is 1 if an error or the NEES is out of bounds."""
     if "--motions" in sys.argv:
         motions()
         return 0

@@ -1,8 +1,8 @@
-"""Claimed against seen: the share of truth inside 95 %, by robot file and recording.
+"""Coverage: the share of truth inside 95 % regions, by robot file and recording.
 
-Every shipped robot file is judged on the public windows of its robot. So is the file that
-`glissando robot new` writes from length, segments, diameter, bend and sensors alone. No recording
-of the sliding robot is public: its file is judged on simulated sessions, and the new file once more
+Every shipped robot file is evaluated on the public windows of its robot, and so is the file that
+`glissando robot new` writes from length, segments, diameter, bend and sensors alone. There is no
+public recording of the sliding robot: its file is evaluated on simulated sessions, and a new file
 on shapes of SoroSim. Brackets hold 95 % intervals from resampling blocks of 2 s (at least
 five), sessions or shapes.
 Usage: claimed.py [FOLDER of public recordings] [--recording FOLDER [--window T0 T1]]
@@ -48,9 +48,9 @@ POSES = [f"pose:aurora{i}" for i in range(4)]
 TENDONS = RobotOutline(
     "new", 0.466, 2, 0.012, math.pi, [*POSES[:2], "gyro:gyro_mid", "gyro:gyro_ee"]
 )
-CHOSEN_ON = {("tdcr466-segments", "slow_free_space")}  # the rest is reported
-# What a user states of the robot of each recording. That of `extensible` has a tracker at the end
-# of each third, and begins squeezed to 0.16 of its 1 m: three segments that shorten by 85 %.
+CHOSEN_ON = {("tdcr466-segments", "slow_free_space")}  # used to choose the file; others are tests
+# Outlines that a user states for the robot of each recording. That of `extensible` has a tracker at
+# the end of each third, and begins compressed to 0.16 of its 1 m: segments that shorten by 85 %.
 SQUEEZED = partial(RobotOutline, "new", 1.0, diameter=0.02, sensors=POSES)
 NEW = {
     "slow_free_space": {"robot new": TENDONS},
@@ -73,7 +73,7 @@ LEVEL = 0.95
 
 
 def described(inside, group, error):
-    """Share inside, its interval from resampling groups, and the RMSE (mm)."""
+    """Share inside, its 95 % interval from resampling groups, and the RMSE (mm)."""
     groups, at = np.unique(group, return_inverse=True)
     count, hits = np.bincount(at), np.bincount(at, inside)
     drawn = np.random.default_rng(0).integers(groups.size, size=(2000, groups.size))
@@ -87,7 +87,7 @@ def described(inside, group, error):
 
 
 def of_recording(robot, folder, window):
-    """A window of a recording, all its truth."""
+    """Coverage in a window of a recording, over all its truth streams."""
     recording = load_recording(folder)
     run = run_estimate(recording, robot, window=window, use=None, truth=None)
     errors = pool(run.errors)
@@ -100,7 +100,7 @@ def of_recording(robot, folder, window):
 
 
 def of_sessions():
-    """Simulated sessions of the sliding robot, a group a session."""
+    """Coverage over simulated sessions of the sliding robot, resampled by session."""
     found = [(trial(scene, seed), group) for group, seed in enumerate(SEEDS) for scene in SCENES]
     errors = [pool(each.errors) for each, _ in found]
     group = np.concatenate(
@@ -113,7 +113,7 @@ def of_sessions():
 
 
 def of_shapes(document):
-    """Shapes of SoroSim where the coil did not stop, a group a shape."""
+    """Coverage over shapes of SoroSim where the coil did not stop, resampled by shape."""
     document["base"]["quaternion"] = [0.5, 0.5, 0.5, 0.5]
     document["sensors"]["coil"]["std"] = shapes.NOISE.tolist()
     judged = shapes.judge(document, shapes.read_shapes(shapes.load_shapes(FILE), SHAPES))
@@ -123,14 +123,14 @@ def of_shapes(document):
 
 
 def new_file(outline, folder):
-    """The robot file that `glissando robot new` writes from an outline."""
+    """Write the robot file that `glissando robot new` writes for an outline."""
     file = Path(folder) / "new.toml"
     file.write_text(robot_text(outline), encoding="utf-8")
     return file
 
 
 def rows(folder):
-    """Yield a dictionary a robot file and recording."""
+    """Yield a dictionary for each robot file and recording."""
     with tempfile.TemporaryDirectory() as written:
         public = [(name, window) for name, window in WINDOWS if (folder / name).is_dir()]
         for name, window in public:
@@ -156,7 +156,7 @@ HEAD = """\
 
 
 def line(row):
-    """A row of the table."""
+    """Row of the table."""
     span = " {:g}–{:g} s".format(*row["window"]) if row["window"] else ""
     span += ", chosen on it" if (row["robot"], row["recording"]) in CHOSEN_ON else ""
     low, high = BOUNDS[row["kind"]]

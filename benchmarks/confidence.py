@@ -1,7 +1,7 @@
-"""Writes docs/confidence.md: every number of that page is measured here.
+"""Write docs/confidence.md: every number of that page is measured here.
 
 Some sections need the public recordings and take minutes each. Usage: confidence.py [--page FILE]
-[--told DIR]   (DIR/SECTION.txt, if it is there, is what a section's script has printed before)
+[--told DIR]   (DIR/SECTION.txt, if it exists, replaces the output of a section's script)
 """
 
 import argparse
@@ -164,7 +164,7 @@ millimetres and share inside 95 %:
 
 
 def measured(section, told):
-    """What the script of a section prints, now or before."""
+    """Output of a section's script, from an earlier run if there is one."""
     before = told / f"{section}.txt" if told else None
     if before and before.exists():
         return before.read_text(encoding="utf-8").strip()
@@ -172,14 +172,14 @@ def measured(section, told):
 
 
 def printed(section, options):
-    """What the script of a section prints with options."""
+    """Output of a section's script with options."""
     script = Path(__file__).with_name(f"{section}.py")
     command = [sys.executable, "-W", "ignore", str(script), *options]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
 
 def varied(told):
-    """Errors and coverage with numbers of the learned prior changed, a column a window."""
+    """Errors and coverage with numbers of the learned prior changed, a column per window."""
     before = told / "varied.txt" if told else None
     if before and before.exists():
         return before.read_text(encoding="utf-8").strip()
@@ -190,7 +190,7 @@ def varied(told):
 
 
 def judged(table):
-    """Prior, and error and coverage with it, of each row that `error_parts.py --vary` prints."""
+    """Yield prior, and its error and coverage, of each row that `error_parts.py --vary` prints."""
     for line in table.splitlines()[2:]:
         prior, error, inside, _, evidence = (cell.strip() for cell in line.strip("| ").split("|"))
         yield prior, f"{error}, {inside}" + " (no convergence)" * ("not" in evidence)

@@ -1,7 +1,7 @@
-"""One unknown lateral force on the robot of the paper: found, where and how large, by a coil.
+"""Detection and location of one unknown lateral force on the paper's robot by a coil.
 
-The simulator bends the robot of `sliding700`, held at any angle to gravity, under its weight and a
-force of 0.1 to 1 N anywhere. A coil reads ten places over the length, or ten times the tip.
+The simulator bends the robot of `sliding700`, at a random angle to gravity, under its weight and a
+force of 0.1 to 1 N anywhere. A coil reads ten places over the length, or the tip ten times.
 Usage: contacts.py [--touched N] [--untouched N] [--seed SEED] [--json] [--page] [--figure FILE.png]
 """
 
@@ -32,17 +32,17 @@ from script import run
 warnings.simplefilter("ignore", FalseConfidenceWarning)  # of a robot before its touch is found
 
 NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])
-STD_FORCE = 0.6  # N, each component
+STD_FORCE = 0.6  # N, per component
 READ = 10
 NODES = 11
 WAYS = {"sliding": np.linspace(0.1, 1.0, READ), "fixed": np.ones(READ)}  # of the length
-SIGMAS = 1.959964  # of a normal number's middle 95 %
+SIGMAS = 1.959964  # half-width of a normal variable's central 95 %
 PAGE = Path(__file__).parents[1] / "docs" / "loads.md"
 COLUMNS = ("place", "force", "found", "miss", "off", "std_place", "std_force", "z_place", "z_force")
 
 
 def robot():
-    """The simulator's rod, and a prior of that rod."""
+    """The simulator's rod, and a mechanical prior of that rod."""
     rod = load_bench(robot_file("sliding700")).rod
     prior = MechanicalPrior(
         Mechanics(rod.stiffness[None], np.array([rod.mass_per_length])),
@@ -57,7 +57,7 @@ def robot():
 
 
 def coil(rng, shape, places):
-    """Readings at these places of a shape."""
+    """Noisy coil readings of a shape at arclengths."""
     off, roll = np.zeros((2, places.size, 6))
     off[:, :5] = NOISE * rng.standard_normal((places.size, 5))
     roll[:, 5] = rng.uniform(-np.pi, np.pi, places.size)
@@ -66,14 +66,14 @@ def coil(rng, shape, places):
 
 
 def pushed(rng, rod, gravity, place, size):
-    """The shape under a force across the unbent rod, and that force."""
+    """Shape under a force perpendicular to the unbent rod, and the force."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     force = size * rod.base[:3, :3] @ np.array([np.cos(angle), np.sin(angle), 0.0])
     return solve_shape(rod, [], Loads(gravity=gravity, wrenches=[Wrench(place, force)])), force
 
 
 def trial(seed, setup, way, touched):
-    """One shape: numbers by the names of COLUMNS, NaN where nothing was found."""
+    """One trial: values in the order of COLUMNS, NaN where no contact was detected or applied."""
     (rod, prior), rng = setup, np.random.default_rng(seed)
     gravity = rng.standard_normal(3)
     gravity *= 9.81 / np.linalg.norm(gravity)
@@ -102,7 +102,7 @@ def trial(seed, setup, way, touched):
 
 
 def trials(seeds, setup, way, touched):
-    """Trials (T, 9) of these seeds; a line every few seconds says how far they are."""
+    """Trials (T, 9) of seeds, with a line of progress every few seconds."""
     out, said = [], time.monotonic()
     for k, seed in enumerate(seeds):
         out.append(trial(seed, setup, way, touched))
@@ -114,13 +114,13 @@ def trials(seeds, setup, way, touched):
 
 
 def share(hits):
-    """A share and its exact 95 % interval."""
+    """Share of true entries and its exact 95 % interval."""
     bounds = binomtest(int(hits.sum()), hits.size).proportion_ci(0.95)
     return [float(hits.mean()), float(bounds.low), float(bounds.high)]
 
 
 def summary(untouched, touched):
-    """Rates with intervals, errors, and how true the standard deviations are."""
+    """Detection rates with intervals, errors, and coverage of the standard deviations."""
     row = dict(zip(COLUMNS, touched.T, strict=True))
     seen = row["found"] > 0.0
     out = {"false_alarms": share(untouched[:, 2] > 0.0), "found": share(seen)}
@@ -135,7 +135,7 @@ def summary(untouched, touched):
 
 
 def lines(found, counts):
-    """The table of the page."""
+    """Table of the page."""
 
     def rate(cell):
         return (
@@ -165,7 +165,7 @@ def lines(found, counts):
 
 
 def draw(touched, path):
-    """Standard deviations of force and place over where the contact is."""
+    """Plot the standard deviations of force and place over the place of the contact."""
     colours = {"sliding": "#0072B2", "fixed": "#D55E00"}
     with canvas(9.0, 3.6) as figure:
         panels = figure.subplots(1, 2)

@@ -1,7 +1,7 @@
-"""Whether a real robot is touched, by windows of the public space-time recordings.
+"""Contact detection on a real robot, by windows of the public space-time recordings.
 
-What is not published of its body is assumed, see fast_contact.py: a nitinol rod under loads that
-bend it by a third of its length, which stand for its tendons. Trackers and gyroscopes are read,
+Unpublished properties of its body are assumed, see fast_contact.py: a nitinol rod under loads that
+bend it by a third of its length, which represent its tendons. Trackers and gyroscopes are used,
 motion capture is not. Nothing is fitted.
 
 Usage: contacts_recorded.py FOLDER [--windows 0:10 10:20] [--rate 10] [--json]
@@ -23,7 +23,7 @@ MASS, TIME_SCALE = 0.05, 0.5  # kg/m; s
 
 
 def scanned(folder, window, rate=10.0):
-    """The scan of a window (s) of a recording, at `rate` times a second."""
+    """Scan for contacts in a window (s) of a recording, at `rate` Hz."""
     robot, recording = load_robot("tdcr466-segments"), load_recording(folder)
     prior = priors(robot.length, MASS)["without inertia"]
     prior = replace(
@@ -41,7 +41,7 @@ def scanned(folder, window, rate=10.0):
 
 
 def main():
-    """Print a row a window, or JSON."""
+    """Print a row per window, or JSON."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

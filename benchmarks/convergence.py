@@ -1,9 +1,9 @@
-"""Whether estimates of one problem end alike from three starts, of which two are wrong by far.
+"""Convergence of estimates from three initial guesses, two of them far from the solution.
 
-A robot moves at random: every third of it bends by up to 60 degrees, smoothly in time, which no
-prior is asked about. Its own sensors read it with the noise that its robot file states. Estimates
-start from rest, from a robot wound by a quarter to half a turn about an axis drawn at random, and
-from another random motion. They end alike where no place of the body differs by half of its
+A robot moves at random: each third of it bends by up to 60 degrees, smoothly in time and
+independently of its prior. Its sensors have the noise that its robot file states. Estimates start
+from rest, from a robot wound by a quarter to half a turn about a random axis, and from another
+random motion. Two estimates are equal if no point of the body differs by more than half its
 standard deviation.
 Usage: convergence.py [--robot FILE|NAME ...] [--problems N] [--seed N] [--json]
 """
@@ -28,14 +28,14 @@ from glissando.evaluation.prior_predictive import noisy_values, session_layout
 
 ROBOTS = ("sliding700", "tdcr466-segments", "tdcr466", "extensible1m")
 STARTS = ("rest", "wound", "another motion")
-ALIKE = 0.5  # standard deviations by which no place of the body may differ
-THIRDS, BEND, TWIST = 3, np.radians(60.0), np.radians(10.0)  # of each third at most
-NODES_A_CYCLE = 30  # time nodes of the estimate in the fastest cycle of a motion
-PIECES, NUDGE = 60, 1e-4  # of a robot that is integrated; s
+ALIKE = 0.5  # standard deviations: largest difference of equal estimates
+THIRDS, BEND, TWIST = 3, np.radians(60.0), np.radians(10.0)  # largest angles of each third
+NODES_A_CYCLE = 30  # time nodes per cycle of the fastest motion
+PIECES, NUDGE = 60, 1e-4  # steps of the integration along the robot; s for velocities
 
 
 class Motion:
-    """A smooth random motion of a robot of some length on a fixed base."""
+    """Smooth random motion of a robot on a fixed base."""
 
     def __init__(self, robot, rng):
         size = (THIRDS, 3)
@@ -53,7 +53,7 @@ class Motion:
         return np.concatenate([np.tile([0.0, 0.0, 1.0], (time.size, 1)), turn], axis=1)
 
     def pose(self, place, time):
-        """Poses (M, 4, 4)."""
+        """Poses (M, 4, 4) at arclengths and times (M,)."""
         pose = np.tile(self.base, (time.size, 1, 1))
         step = place / PIECES
         for i in range(PIECES):
@@ -61,14 +61,14 @@ class Motion:
         return pose
 
     def at(self, place, time):
-        """States (M,)."""
+        """States (M,) at arclengths and times (M,)."""
         pose, later = self.pose(place, time), self.pose(place, time + NUDGE)
         velocity = se3.log(se3.inverse(pose) @ later) / NUDGE
         return State(pose, self.strain(place, time), velocity)
 
 
 def wound(robot, grid, rng):
-    """The robot's rest shape, bent and twisted evenly by a quarter to half a turn in all."""
+    """Rest shape of the robot, uniformly bent and twisted by a quarter to half a turn in total."""
     axis = rng.standard_normal(3)
     turn = rng.uniform(0.5, 1.0) * np.pi * axis / np.linalg.norm(axis)
     rest = robot.prior.rest_state(grid)
@@ -78,13 +78,13 @@ def wound(robot, grid, rng):
 
 
 def on_nodes(motion, grid):
-    """A motion at the nodes (K, N)."""
+    """States of a motion at the nodes (K, N)."""
     place, time = np.tile(grid.arclength, grid.time.size), np.repeat(grid.time, grid.arclength.size)
     return motion.at(place, time).reshape(*grid.shape)
 
 
 def solved(robot, grid, readings, start):
-    """The posterior from a start, or the sentence with which it was refused."""
+    """Posterior from an initial guess, or the message of the error."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotConvergedWarning)
         try:
@@ -95,7 +95,7 @@ def solved(robot, grid, readings, start):
 
 
 def row(posterior, best):
-    """How an estimate ended beside the best of its problem."""
+    """Comparison of an estimate with the one of least cost for the same problem."""
     if isinstance(posterior, str):
         return {"end": "refused", "why": posterior}
     off = np.linalg.norm((posterior.state.pose - best.state.pose)[..., :3, 3], axis=-1)
@@ -109,7 +109,7 @@ def row(posterior, best):
 
 
 def judged(name, seed, number):
-    """How one problem ends from each start."""
+    """Result of one problem from each initial guess."""
     robot = load_robot(name)
     grid, layout = session_layout(robot)
     rng = np.random.default_rng([seed, number])
@@ -124,7 +124,7 @@ def judged(name, seed, number):
 
 
 def main():
-    """Print a row a robot and start, or JSON of all problems."""
+    """Print a row per robot and initial guess, or JSON of all problems."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

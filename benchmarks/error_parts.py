@@ -1,9 +1,9 @@
-"""What an estimate's position errors are: place, direction, delay, registration, model.
+"""Decomposition of position errors by body, direction, delay, registration and model.
 
-The error of a window is taken apart at every motion-capture body, in the body's own axes. Then
-parts are taken away that the estimate cannot be blamed for, each alone: the delay of the truth, one
-rigid transform of all truth (its frame), and the constant of each body (its mount). All three are
-fitted to the errors, so what they take away is an upper bound; nothing of it is applied elsewhere.
+The errors of a window are given for each motion-capture body, in the body's axes. Then parts that
+are errors of the truth, not of the estimate, are removed, each alone: the delay of the truth, one
+rigid transform of all truth (its frame), and a constant of each body (its mount). All three are
+fitted to the errors, so the reduction is an upper bound; the fits are not used elsewhere.
 With --vary the window is estimated again with numbers of a mechanical prior changed one by one.
 Usage: error_parts.py --robot FILE|NAME --recording FOLDER [--window T0 T1] [--use NAME …] [--vary]
 [--json]
@@ -28,7 +28,7 @@ from glissando.model.table import Table
 
 MASSES = ("mechanics", "mass_per_length"), ("mechanics", "tip", "mass")
 MOMENTS = (("prior", "var_points", 0), slice(3, None)), (("prior", "var_tip"), slice(3, None))
-VARIED = {  # what is scaled: keys that lead to a number or vector, its entries, factor
+VARIED = {  # scaled numbers: keys of the number or vector, its entries, factor
     "as it is": (),
     "no weight": [(key, None, 1e-6) for key in MASSES],
     "weight ÷ 2": [(key, None, 0.5) for key in MASSES],
@@ -48,7 +48,7 @@ DELAYS = np.linspace(-0.04, 0.04, 17)  # s: of the truth's stamps
 
 
 def errors(run, delay=0.0):
-    """True less estimated positions (M, 3), m, of each body, with the estimated poses (M, 4, 4)."""
+    """True minus estimated positions (M, 3), m, and estimated poses (M, 4, 4), of each body."""
     found = []
     for truth in run.truth:
         truth = truth.changed(time=truth.time - delay).inside(run.posterior.grid)
@@ -58,12 +58,12 @@ def errors(run, delay=0.0):
 
 
 def rmse(each):
-    """Root mean square length (mm) of errors (M, 3) of all bodies."""
+    """Root mean square norm (mm) of errors (M, 3) of all bodies."""
     return 1e3 * float(np.sqrt(np.mean(np.sum(np.concatenate(each) ** 2, axis=1))))
 
 
 def registered(found):
-    """Errors of each body less the rigid motion of the world that fits all of them best."""
+    """Errors of each body after subtracting the best rigid transform of all bodies."""
     place = np.concatenate([pose[:, :3, 3] for _, pose in found])
     slope = np.concatenate([np.tile(np.eye(3), (len(place), 1, 1)), -se3.hat3(place)], axis=2)
     error = np.concatenate([e for e, _ in found])
@@ -73,7 +73,7 @@ def registered(found):
 
 
 def parts(run):
-    """Both tables as dictionaries."""
+    """Errors by body, and RMSE (mm) without each part."""
     found = errors(run)
     bodies = []
     for truth, (error, pose) in zip(run.truth, found, strict=True):
@@ -98,7 +98,7 @@ def parts(run):
 
 
 def varied(file, changes):
-    """The robot of a file with some of its mechanical prior's numbers scaled."""
+    """Robot of a file with some numbers of its mechanical prior scaled."""
     document = expanded(read_robot_document(robot_file(file)))
     for (*way, last), entries, factor in changes:
         table = document
@@ -109,7 +109,7 @@ def varied(file, changes):
 
 
 def scaled(value, entries, factor):
-    """A number, or the entries of a vector, or of all rows of a table, times a factor."""
+    """Number, or entries of a vector or of all rows of a table, times a factor."""
     if entries is None:
         return value * factor
     out = np.array(value, dtype=float)
@@ -118,7 +118,7 @@ def scaled(value, entries, factor):
 
 
 def variations(file, recording, window, use):
-    """Yield a dictionary a change of the prior."""
+    """Yield a dictionary for each change of the prior."""
     for what, changes in VARIED.items():
         robot = varied(file, changes)
         run = run_estimate(recording, robot, window=window, use=use, truth=None)
@@ -134,7 +134,7 @@ def variations(file, recording, window, use):
 
 
 def show_variations(rows, as_json):
-    """Print a row a change, or all as JSON."""
+    """Print a row per change, or all as JSON."""
     if as_json:
         print(json.dumps({"variations": list(rows)}))
         return

@@ -1,8 +1,8 @@
-"""How long an estimate takes: linearise, solve, covariance, for growing grids; one thread.
+"""Time of an estimate by part (linearise, solve, covariance) for growing grids; one thread.
 
-Times are processor seconds of this process, medians of a few runs in one process, and ratios to
-the first row, so that a slow machine shows the same picture. A coil slides, base and gyroscope
-are read, in the real robot's published settings. Public recordings are added when found.
+Times are processor seconds, medians of a few runs in one process, and ratios to the first row,
+which hardly depend on the machine. A sliding coil, the base and a gyroscope are read, with the
+published settings of the real robot. Public recordings are included if found.
 Usage: estimate.py [--runs N] [FOLDER of public recordings]
 """
 

@@ -1,10 +1,10 @@
-"""A real robot that is hit while it moves, under a mechanical prior with and without inertia.
+"""A real robot that is hit while moving, under a mechanical prior with and without inertia.
 
 The recording is the public `fast_contact` of a tendon-driven robot of 0.466 m: trackers at base and
-tip and two gyroscopes, judged by motion capture at five places. What is not published of its body
-is assumed: a nitinol rod of 1.6 mm, 50 g/m with its disks, and loads that bend it by its own length
-(three times those that bend it by a third), which stand for its tendons. Both priors have the same
-nodes. Nothing is fitted.
+tip and two gyroscopes, evaluated by motion capture at five places. Unpublished properties of its
+body are assumed: a nitinol rod of 1.6 mm, 50 g/m with its disks, and loads that bend it by its own
+length (three times those that bend it by a third), which represent its tendons. Both priors have
+the same nodes. Nothing is fitted.
 
 Usage: fast_contact.py FOLDER [--windows 10:20 20:30] [--rate 40] [--mass 0.05] [--json]
 """
@@ -26,13 +26,13 @@ from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.simulation import Rod
 
 DIAMETER, YOUNG, POISSON = 1.6e-3, 60e9, 0.33
-LOADS = 3.0  # times those that bend the rod by a third of its length
+LOADS = 3.0  # standard deviation, over that which bends the rod by a third of its length
 STRAIN_ERROR = np.repeat([1e-8, 1e-3], 3)
 NODES, TIME_SCALE, MODES, RETARDATION, AIR = 5, 0.2, 3, 0.01, 0.05
 
 
 def priors(length, mass):
-    """The mechanical prior without inertia and with it."""
+    """Mechanical priors without and with inertia."""
     rod = Rod.of_tubes(length, [(DIAMETER, 0.0)], young=YOUNG, poisson=POISSON, density=1.0)
     force = LOADS * 3.0 * float(rod.stiffness[3]) / length**2
     moment = force * length
@@ -71,7 +71,7 @@ def judge(recording, robot, prior, window, rate):
 
 
 def main():
-    """Print a row a window and prior, or JSON."""
+    """Print a row per window and prior, or JSON."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

@@ -1,14 +1,13 @@
-"""The middle of a rod that is let go, from its base and a coil at its tip, under three priors.
+"""Estimates of the middle of a released rod from its base and a tip coil, under three priors.
 
-The files are tip releases of another group's solver (see releases.py). A coil of five degrees of
-freedom reads the tip at 40 Hz; the base's pose is known and nothing else is read. Judged are the
-positions of middle and tip at the file's own times over the first second. The white-noise prior
-gets the densities of largest evidence on the very readings; so does the mechanical prior with
-inertia its loads, one number; the one without inertia gets loads that bend the rod by a third of
-its length. Online, the newest state of a smoother of four time nodes is judged as readings come, at
-the time nodes, with loads of 6 % of the rod's weight: a window of two nodes has too few digits for
-much smaller ones, which evidence prefers. A file states positions to 0.1 mm, which counts as its
-error.
+The files are tip releases of another group's solver (see releases.py). A five-degree-of-freedom
+coil reads the tip at 40 Hz; the base's pose is known, and there are no other readings. Positions of
+middle and tip are evaluated at the file's times over the first second. The densities of the
+white-noise prior, and the loads of the mechanical prior with inertia (one number), maximise the
+evidence of the same readings; the prior without inertia has loads that bend the rod by a third of
+its length. Online, the newest state of a smoother of four time nodes is evaluated at each time
+node, with loads of 6 % of the rod's weight: rounding in a short window prevents much smaller loads,
+which evidence prefers. The files' rounding to 0.1 mm is included in the covariance.
 
 Usage: fast_motion.py --young 200e9 --poisson 0.33 --density 7870 --radius 8e-4 --length 0.6 FILE…
 """
@@ -35,12 +34,12 @@ from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.white_noise import BaseDensity, WhiteNoisePrior
 from releases import AXES, read_release, rod_of
 
-TIP = 0.4  # of the loads' standard deviation over the whole rod, at the tip
-ONLINE = 0.06  # standard deviation of loads, of the rod's weight
-VAR_BASE = 1e-10, 1e-9  # m², rad²: the files' base does not move; the second online, for digits
-ERROR = 1e-8, 1e-6  # densities of bending that follows no equation; the second online
-ROUNDING = 1e-4**2 / 12.0  # m², of positions that are stated to 0.1 mm
-NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])  # one standard deviation of each axis
+TIP = 0.4  # standard deviation of the tip force, over that of the load on the whole rod
+ONLINE = 0.06  # standard deviation of loads, over the rod's weight
+VAR_BASE = 1e-10, 1e-9  # m², rad²: the base is fixed; the second online, for numerical precision
+ERROR = 1e-8, 1e-6  # densities of the model error in bending; the second online
+ROUNDING = 1e-4**2 / 12.0  # m²: variance of rounding to 0.1 mm
+NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])  # standard deviation per axis, m and rad
 RATE, NODE_RATE, NODES = 40.0, 80.0, 9
 INERTIAL = ("with inertia", "with inertia, online")
 WINDOW = 4  # time nodes of the smoother
@@ -48,7 +47,7 @@ CHI2 = 7.8147  # of three components, 95 %
 
 
 def coil(release, options, seed):
-    """Readings of the tip."""
+    """Noisy coil readings of the tip."""
     rng = np.random.default_rng(seed)
     wanted = np.arange(0.0, options.seconds + 1e-9, 1.0 / RATE)
     rows = np.unique(np.abs(release.time[:, None] - wanted).argmin(axis=0))
@@ -61,7 +60,7 @@ def coil(release, options, seed):
 
 
 def mechanical(release, rod, load, tip, online=False):
-    """The mechanical prior, of loads with these standard deviations in N over the whole rod."""
+    """Mechanical prior with standard deviations (N) of the total load and of the tip force."""
     force = np.repeat([load**2, (0.01 * load * rod.length) ** 2], 3) / rod.length
     gravity = {"gravity": release.gravity}
     return MechanicalPrior(
@@ -76,7 +75,7 @@ def mechanical(release, rod, load, tip, online=False):
 
 
 def moving(release, rod, options, share, online=False):
-    """The mechanical prior with inertia, of loads that are this share of the rod's weight."""
+    """Mechanical prior with inertia, for loads of a share of the rod's weight."""
     load = share * rod.mass_per_length * rod.length * 9.81
     largest = 3.0 * rod.stiffness[3] / rod.length**2  # N: bends the rod by a third of its length
     prior = mechanical(release, rod, load, TIP * load, online)
@@ -84,7 +83,7 @@ def moving(release, rod, options, share, online=False):
 
 
 def white_noise(release, rod, numbers):
-    """The white-noise prior of densities e^numbers of bending, of its change, and of velocity."""
+    """White-noise prior with densities exp(numbers) of bending, its change, and velocity."""
     bending, change, speed = np.exp(numbers)
     stiff = np.full(3, 1e-6)
     return WhiteNoisePrior(
@@ -98,7 +97,7 @@ def white_noise(release, rod, numbers):
 
 
 def fitted(make, simplex, evaluations, grid, readings):
-    """The prior of largest evidence, of those that `make` makes of numbers (P,)."""
+    """Prior of largest evidence over the parameters (P,) of `make`, by Nelder–Mead."""
 
     def miss(numbers):
         try:
@@ -112,7 +111,7 @@ def fitted(make, simplex, evaluations, grid, readings):
 
 
 def judged(prior, grid, readings, release, options):
-    """RMSE (m) and share inside 95 % of middle and tip."""
+    """RMSE (m), NEES and share inside 95 % of middle and tip, of the batch estimate."""
     begin = time.process_time()
     posterior = estimate(prior, grid, readings, gate=None)
     early = release.time <= options.seconds + 1e-9
@@ -127,7 +126,10 @@ def judged(prior, grid, readings, release, options):
 
 
 def judged_online(prior, grid, readings, release, options):
-    """The same of the newest state as readings come, from the third on, and the restarts."""
+    """RMSE (m), NEES and share inside 95 % of the newest state online, and the restarts.
+
+    Evaluated from the third reading on.
+    """
     judged_nodes = [grid.arclength.size // 2, -1]
     wanted = grid.time[grid.time <= options.seconds + 1e-9]
     rows = np.unique(np.abs(release.time[:, None] - wanted).argmin(axis=0))
@@ -141,7 +143,7 @@ def judged_online(prior, grid, readings, release, options):
         cov.append(at.cov_position_world[judged_nodes])
         before = now
     gap = np.stack(place, axis=1) - release.place[:, rows]
-    known = release.time[rows] >= stream.time[2]  # two readings show no velocity yet
+    known = release.time[rows] >= stream.time[2]  # velocity is not yet observable with two readings
     return {
         **errors(gap[:, known], np.stack(cov, axis=1)[:, known]),
         "restarts": smoother.restarts,
@@ -168,7 +170,7 @@ def errors(gap, cov):
 
 
 def judge(path, options, seed):
-    """What each prior says of a file, with one draw of the coil's noise."""
+    """Evaluate each prior on a file, with one draw of the coil's noise."""
     release = read_release(path)
     rod = rod_of(release, options)
     steps = round(options.seconds * options.node_rate)
@@ -194,7 +196,7 @@ def judge(path, options, seed):
 
 
 def summed(found, name):
-    """A line for every file and one for all: least and most error, mean coverage and NEES."""
+    """Lines for each file and for all: least and largest error, mean coverage and NEES."""
     files = list(dict.fromkeys(rows["file"] for rows in found))
     for file in [*files, "all"]:
         own = [rows[name] for rows in found if file in (rows["file"], "all")]
@@ -213,7 +215,7 @@ def summed(found, name):
 
 
 def main():
-    """Print a row for every file, draw and prior, or JSON."""
+    """Print a row per file, draw and prior, or JSON."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

@@ -1,9 +1,9 @@
-"""What is lost when a program is killed, stopped twice, or loses disk, device, clock or folder.
+"""Losses when a program is killed, stopped twice, or loses disk, device, clock or folder.
 
-Each trial runs `record`, `replay` or `live` on simulated devices that speak their devices' bytes,
-lets a fault happen at a random moment between the program's start and its end, and looks at what is
-left: does the stage stand still, with torque as its setup says, what did the log lose, does it
-open, is anything still running, was there a traceback; is a resumed replay the uninterrupted one.
+Each trial runs `record`, `replay` or `live` on simulated devices with the devices' own protocols,
+causes a fault at a random time between the program's start and its end, and checks the result:
+does the stage stop, with torque as in its setup; what is missing in the log, and does it open; are
+processes still running; was there a traceback; does a resumed replay equal an uninterrupted one.
 
 Usage: faults.py [--count N] [--seed S] [--lanes L] [--fault NAME,…] [--json FILE]
 """
@@ -27,13 +27,13 @@ from glissando.errors import DeviceError, GlissandoError
 from glissando.simulation.simulate import simulate
 from glissando.simulation.simulated_session import write_session
 
-_COMPILING = 600.0  # s that the first programs may take
+_COMPILING = 600.0  # s: time limit of the first programs, which compile kernels
 _AGAIN = 100_000  # added to the number of a trial whose program had ended before its fault
 FAULTS = (*RECORDED, "replay stopped", "replay twice", "live, lost peer")
 
 
 def run(options, scratch):
-    """All trials, lane by lane."""
+    """Run all trials, one bench of devices per lane."""
     chosen = options.fault or FAULTS
     jobs = [(fault, k) for k in range(options.count) for fault in FAULTS if fault in chosen]
     session = simulate("sliding700", shape="C", slide="hold", duration=SPAN + 1.0, seed=1)
@@ -62,7 +62,7 @@ def run(options, scratch):
                 else:
                     row = live_trial(folder, rng)
                 with lock:
-                    if row.pop("missed", False):  # it had ended: another moment instead
+                    if row.pop("missed", False):  # ended before: repeat
                         waiting.append((fault, k + _AGAIN))
                         continue
                     rows.append(row)
@@ -78,7 +78,7 @@ def run(options, scratch):
 
 
 def baseline(bench, recording):
-    """How long a recording and a replay last without a fault, and what the replay gives."""
+    """Durations (s) of a recording and of a replay without a fault, and the replay's result."""
     bench.setup(hold=True)
     command = ["record", "--setup", bench.folder / "bench.toml", "--cycles", 1, "--stroke", STROKE]
     for out in (bench.folder / "compiling", bench.folder / "baseline"):
@@ -96,7 +96,7 @@ def baseline(bench, recording):
 
 
 def table(rows):
-    """A row a fault: what was tried, and the worst of what was found."""
+    """Rows by fault: number and times of trials, and the worst results."""
     out = []
     for fault in FAULTS:
         some = [row for row in rows if row["fault"] == fault]
@@ -124,7 +124,7 @@ def table(rows):
 
 
 def save(rows, options):
-    """Write what was found so far, for a run takes its time."""
+    """Write the results so far, because a run takes long."""
     if options.json:
         document = {"seed": options.seed, "rows": table(rows), "trials": rows}
         options.json.write_text(json.dumps(document, indent=1) + "\n")

@@ -1,4 +1,4 @@
-"""Simulated devices, and the program that a fault happens to."""
+"""Simulated devices, and the program under test, for `faults.py`."""
 
 import os
 import resource
@@ -25,11 +25,11 @@ from glissando.io.shipped_robots import robot_file
 from glissando.simulation import load_bench
 
 WATCHDOG, SPEED, STROKE = 0.3, 0.024, 0.02  # s, m/s, m
-END = 200.0  # s that a program may take to end
+END = 200.0  # s: time limit for a program to end
 
 
 class Device:
-    """A program beside the one under test, and its first line."""
+    """Process of a device; `address` is the first line that it prints."""
 
     def __init__(self, *command):
         self.process = subprocess.Popen(
@@ -39,13 +39,13 @@ class Device:
         self.address = self.process.stdout.readline().decode().strip()
 
     def kill(self):
-        """End it as a plug that is pulled does."""
+        """Kill the process, as if the device were unplugged."""
         self.process.kill()
         self.process.wait()
 
 
 class Bench:
-    """Simulated devices of one lane, and the true travel of the stage at all times."""
+    """Simulated devices of one lane, with the true travel of the stage over time."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -74,7 +74,7 @@ class Bench:
             self._ear.sendto(data, ("127.0.0.1", self._tracker_port))
 
     def start(self, name):
-        """Start a device, or start it again."""
+        """Start or restart a device."""
         place = self.travel[-1][1] if self.travel else 0.0
         options = {
             "servo": ["--travel", f"127.0.0.1:{self._ear.getsockname()[1]}", f"--start={place}"],
@@ -87,7 +87,7 @@ class Bench:
         self.devices[name] = Device("-m", module, *options)
 
     def setup(self, hold):
-        """Write the setup file for where the stage stands now."""
+        """Write the setup file with the stage's present position."""
         standing = min(max(self.travel[-1][1], 0.0), 0.06)
         (self.folder / "bench.toml").write_text(
             f'robot = "sliding700"\n[tracker]\naddress = "{self.devices["aurora"].address}"\n'
@@ -100,7 +100,7 @@ class Bench:
         )
 
     def moved_until(self, since):
-        """Seconds after a time at which the stage moved last; it must have stood since."""
+        """Time of the stage's last motion, in seconds after `since`; waits for 0.5 s of data."""
         points = np.zeros((0, 2))
         while len(points) < 2 or points[-1, 0] < since + 0.5:
             if self.devices["servo"].process.poll() is not None:
@@ -111,7 +111,7 @@ class Bench:
         return float(points[steps[-1] + 1, 0] - since) if steps.size else 0.0
 
     def torque(self):
-        """Whether the servo has torque."""
+        """Whether the servo's torque is enabled."""
         servo = Servo(self.devices["servo"].address, 1, 57600)
         try:
             return bool(servo.read(dynamixel.TORQUE, 1, check_error=False).data[0])
@@ -119,7 +119,7 @@ class Bench:
             servo.close()
 
     def close(self):
-        """End all devices."""
+        """Kill all devices."""
         for device in self.devices.values():
             device.kill()
 
@@ -131,14 +131,14 @@ def free_port():
 
 
 class Program:
-    """A command of glissando in a session of its own, and what it leaves."""
+    """A command of glissando in its own process session."""
 
     def __init__(self, arguments, *, room=None, **environment):
         self.mark, self.began = uuid.uuid4().hex, time.monotonic()
         self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115  (goes with this object)
 
         def prepare():
-            for number in (signal.SIGINT, signal.SIGHUP):  # which a shell's background ignores
+            for number in (signal.SIGINT, signal.SIGHUP):  # ignored in a shell's background jobs
                 signal.signal(number, signal.SIG_DFL)
             if room is not None:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
@@ -151,21 +151,21 @@ class Program:
         )  # fmt: skip
 
     def send(self, number):
-        """Send a signal to all of its session, as a terminal does."""
+        """Send a signal to the whole process group, as a terminal does."""
         with suppress(ProcessLookupError):
             os.killpg(self.process.pid, number)
 
     def alone(self, number):
-        """Send a signal to the program alone."""
+        """Send a signal to the main process only."""
         self.process.send_signal(number)
 
     def running_for(self, seconds):
-        """Wait so long, or until it ends."""
+        """Wait for some seconds, or until the program ends."""
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(seconds)
 
     def ended(self, within=END):
-        """Its exit status, None if it had to be killed because it would not end."""
+        """Wait for the exit status; None if the program did not end and was killed."""
         try:
             return self.process.wait(within)
         except subprocess.TimeoutExpired:
@@ -174,12 +174,12 @@ class Program:
             return None
 
     def said(self):
-        """All that it printed."""
+        """Output of the program."""
         self._errors.seek(0)
         return self._errors.read()
 
     def left(self, within=8.0):
-        """How many of its processes still run some seconds after its end."""
+        """Number of the program's processes that still run some seconds after its end."""
         end = time.monotonic() + within
         while (count := len(self._running())) and time.monotonic() < end:
             time.sleep(0.1)

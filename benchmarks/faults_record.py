@@ -1,4 +1,4 @@
-"""A recording with a fault at a random moment, for `faults.py`; what it left."""
+"""Recordings with a fault at a random time, for `faults.py`."""
 
 import os
 import signal
@@ -13,9 +13,9 @@ from glissando.io.recording_folder import load_recording
 from glissando.io.session_log import read_session
 
 SIGNALS = {"SIGTERM": signal.SIGTERM, "SIGHUP": signal.SIGHUP, "kill -9": signal.SIGKILL}
-GOES_ON = ("jumped clock", "flood")  # faults that a recording outlives
+GOES_ON = ("jumped clock", "flood")  # faults after which a recording continues
 RECORDED = (*SIGNALS, "Ctrl-C twice", "full disk", "vanished device", *GOES_ON, "same folder")
-_EARLY = 0.2  # of the faults happen before a recording has begun, the others before its end
+_EARLY = 0.2  # share of the faults before a recording has begun; the others are during it
 _JUMP = """import os, time
 _from, _by, _wall, _ns = float(os.environ["JUMP_AT"]), 3600.0, time.time, time.time_ns
 _off = lambda: _by * float(os.environ["JUMP_BY"]) * (time.monotonic() > _from)
@@ -36,11 +36,11 @@ while time.monotonic() < end:
 
 
 class RecordTrial:
-    """A recording on a bench, in which a fault happens at a moment that `rng` draws.
+    """A recording on a bench with a fault at a time drawn from `rng`.
 
     Attributes:
-        happened: When the fault happened, on the monotonic clock, s.
-        over: Whether the program had ended by then.
+        happened: Time of the fault on the monotonic clock, s.
+        over: Whether the program had ended before.
     """
 
     def __init__(self, bench, fault, rng, lasts):
@@ -59,7 +59,7 @@ class RecordTrial:
         self.program = Program(self.command, room=self.room, **self._clock())
 
     def _clock(self):
-        """What makes the program's clock jump, if it is to."""
+        """Environment variables that make the program's clock jump, for that fault."""
         if self.fault != "jumped clock":
             return {}
         folder = self.bench.folder
@@ -70,7 +70,7 @@ class RecordTrial:
         return {"PYTHONPATH": path, "JUMP_AT": str(self.jump), "JUMP_BY": by}
 
     def wait(self):
-        """Let the program go on until the moment of the fault."""
+        """Wait until the time of the fault."""
         if self.early:
             self.program.running_for(self.share * self.lasts[0])
             return
@@ -79,7 +79,7 @@ class RecordTrial:
         self.program.running_for(self.share * self.lasts[1])
 
     def strike(self):
-        """Let the fault happen, and the program end; its exit status."""
+        """Cause the fault and wait for the program's exit status."""
         self.happened, program = time.monotonic(), self.program
         self.over = program.process.poll() is not None
         if self.fault in SIGNALS:
@@ -102,7 +102,7 @@ class RecordTrial:
         return status
 
     def left(self, status):
-        """What the fault left: a row of the table."""
+        """Check the state after the fault: a row of the table."""
         program, fault, happened = self.program, self.fault, self.happened
         row = {"fault": fault, "moment": happened - program.began, "status": status}
         row |= {"traceback": "Traceback" in program.said(), "left": program.left()}
@@ -116,7 +116,7 @@ class RecordTrial:
             row["torque"] = held or fault == "kill -9" or not _moved(self.out)
         if gone:
             self.bench.start(gone)
-        shown = "messages" in program.said()  # of its progress: some had been logged
+        shown = "messages" in program.said()  # in its progress line: messages had been logged
         stopped = fault in SIGNALS or fault == "Ctrl-C twice"
         row |= _kept(self.out, happened if stopped else None, shown)
         if fault in GOES_ON and (self.out / "session.mcap").exists():
@@ -126,27 +126,27 @@ class RecordTrial:
 
 
 def record_trial(bench, fault, rng, lasts):
-    """One recording with a fault; what it left."""
+    """Run one recording with a fault; returns a row of the table."""
     trial = RecordTrial(bench, fault, rng, lasts)
     trial.wait()
     return trial.left(trial.strike())
 
 
 def _moved(out):
-    """Whether a session came to moving its stage."""
+    """Whether a session moved its stage before it ended."""
     log = out / "session.mcap"
     return log.exists() and "/slide" in read_session(log).topics
 
 
 def _longest_gap(out):
-    """The longest time between two messages of the tracker or the slide in a log, s."""
+    """Longest time between two messages of the tracker or the slide in a log, s."""
     topics = read_session(out / "session.mcap").topics.items()
     times = [t.time_ns for name, t in topics if not name.startswith("/mocap")]
     return 1e-9 * max((int(np.diff(t).max()) for t in times if len(t) > 1), default=0)
 
 
 def _kept(out, happened, shown):
-    """What a session's log holds, and how much of the time before a moment it lost."""
+    """Whether a session's log opens, and the time (s) before `happened` that it lacks."""
     log = out / "session.mcap"
     if not log.exists():
         return {"opens": True, "lost": 0.0}
@@ -160,5 +160,5 @@ def _kept(out, happened, shown):
         if any(name.startswith("/tracker") and t.messages for name, t in session.topics.items()):
             load_recording(log)
         return {"opens": True, "lost": lost}
-    except GlissandoError as problem:  # it opens, and what it holds is no recording yet
+    except GlissandoError as problem:  # the log opens, but has too few data for a recording
         return {"opens": "holds no pose" in str(problem), "lost": lost, "why": str(problem)}

@@ -1,4 +1,4 @@
-"""Replays and live estimates with a fault at a random moment, for `faults.py`; what they left."""
+"""Replays and live estimates with a fault at a random time, for `faults.py`."""
 
 import signal
 import time
@@ -11,7 +11,7 @@ from faults_record import SIGNALS
 from glissando.io.journal import Journal
 from glissando.io.recording_folder import load_recording
 
-SPAN = 3.0  # s of a recording that is replayed as it was, and of a live estimate
+SPAN = 3.0  # s: duration of the replayed window, and of a live estimate
 _PEER = """import sys, time, numpy as np
 from glissando.hardware.openigtlink import Endpoint, Message, encode
 from glissando.hardware.openigtlink import contents as c
@@ -39,7 +39,7 @@ def replay_command(recording, out):
 
 
 def newest(out):
-    """The newest states of a replay by time, and the rows that its journal holds by stream."""
+    """Newest states of a replay over time, and the rows of its journal by stream."""
     table = np.genfromtxt(out / "newest.csv", delimiter=",", names=True)
     values = np.array(table.tolist())
     rows = {name: s.rows.table() for name, s in load_recording(out / "log").streams.items()}
@@ -47,7 +47,7 @@ def newest(out):
 
 
 def replay_trial(folder, recording, whole, rng, lasts):
-    """A replay stopped at a random moment and resumed; how far it is from an uninterrupted one."""
+    """Stop a replay at a random time, resume it, and compare it with an uninterrupted one."""
     out = folder / f"replay-{uuid.uuid4().hex[:8]}"
     number = signal.Signals(rng.choice([*SIGNALS.values(), signal.SIGINT]))
     program = Program(replay_command(recording, out))
@@ -73,7 +73,7 @@ def replay_trial(folder, recording, whole, rng, lasts):
 
 
 def twice_trial(folder, recording, whole, rng, lasts):
-    """Two replays into one folder, the second begun at a random moment of the first."""
+    """Run two replays into one folder, the second started at a random time during the first."""
     out = folder / f"twice-{uuid.uuid4().hex[:8]}"
     first = Program(replay_command(recording, out))
     moment = rng.uniform(0.1, 0.9) * lasts
@@ -90,7 +90,7 @@ def twice_trial(folder, recording, whole, rng, lasts):
 
 
 def live_trial(folder, rng):
-    """A live estimate that loses the peer that sends, or the one that listens."""
+    """Run a live estimate during which its source or its viewer is killed."""
     out, ports = folder / f"live-{uuid.uuid4().hex[:8]}", (free_port(), free_port())
     sender = Device("-c", _PEER, f"igtl-server://:{ports[0]}")
     source = f"igtl://127.0.0.1:{ports[0]}"
@@ -109,11 +109,11 @@ def live_trial(folder, rng):
     row = {"fault": "live, lost peer", "moment": moment, "status": status, "left": program.left()}
     row |= {"traceback": "Traceback" in said, "said": said.strip().splitlines()[-1][:200]}
     times = np.genfromtxt(f"{out}.csv", delimiter=",", names=True)["time"]
-    with Journal(out):  # nobody else has it any more
+    with Journal(out):  # no other process holds its lock
         pass
     found = load_recording(out).streams
     last = max((float(s.rows.time[-1]) for s in found.values()), default=0.0)
-    # An update without a reading grows no more certain: the newest used is in the journal.
+    # Updates without readings do not count: the newest reading used must be in the journal.
     row |= {"opens": True, "lost": max(float(times.min() - last), 0.0) if times.size else 0.0}
     row["refused"] = status in (0, 2)
     return row

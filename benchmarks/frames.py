@@ -1,6 +1,6 @@
-"""How many of the tracker's frames are lost while the slide moves, on this machine as it is.
+"""Tracker frames that are lost while the slide moves, on this machine under its present load.
 
-`python benchmarks/frames.py [RUNS]` records so many sessions on simulated devices, three cycles of
+`python benchmarks/frames.py [RUNS]` records RUNS sessions on simulated devices, three cycles of
 60 mm each, which are 670 frames at 40 Hz.
 """
 
@@ -18,7 +18,7 @@ from glissando.simulation import SlideLimits, SlidePath
 
 
 def gaps_and_frames(folder: Path) -> tuple[list[int], int]:
-    """How many frames were lost in each gap of one session, and how many came."""
+    """Numbers of frames lost in each gap of one session, and of frames received."""
     with simulated_rig() as rig:
         assert rig.stage is not None
         limits = SlideLimits(rig.stage.stroke[1], rig.stage.speed, rig.stage.acceleration)
@@ -29,7 +29,7 @@ def gaps_and_frames(folder: Path) -> tuple[list[int], int]:
 
 
 def main() -> None:
-    """Record and count."""
+    """Record sessions and count lost frames."""
     runs = int(sys.argv[1]) if len(sys.argv) > 1 else 6
     lost = total = 0
     for run in range(runs):

@@ -1,7 +1,7 @@
-"""Write docs/growth.md and its figure: cost against work, and what the arithmetic alone costs.
+"""Write docs/growth.md and its figure: cost against problem size, and the cost of the arithmetic.
 
-Processor seconds on one thread, so that other work on the machine matters little. The floor is that
-of the block-tridiagonal algebra at the rate at which this machine multiplies matrices of that size.
+Processor seconds on one thread, which other load hardly affects. The floor is the time of the
+block-tridiagonal algebra at the rate at which this machine multiplies matrices of that size.
 Usage: growth.py [--out FOLDER] [--runs N] [--most SHARE] [--json FILE]
 """
 
@@ -26,9 +26,9 @@ from online import DOF, sliding
 TIMES = [151, 301, 751, 1501, 3001]
 NODES = [3, 5, 9, 17, 33]
 READINGS = [1000, 3000, 10_000, 30_000, 100_000]
-FACTOR, MARGINALS = 8 / 3, 13 / 3  # n³ operations a slab, of an iteration and at the end
+FACTOR, MARGINALS = 8 / 3, 13 / 3  # n³ operations per time node: per iteration, for marginals
 UPDATES = 60
-ENOUGH = 3.0  # s after which an estimate is not repeated
+ENOUGH = 3.0  # s: total time after which an estimate is not repeated
 
 HEAD = """\
 # How cost grows
@@ -46,7 +46,7 @@ arrays.
 
 
 def product_rate(size):
-    """Floating-point operations a second of matrix products of that size."""
+    """Floating-point operations per second of matrix products of a size."""
     a, best = np.random.default_rng(0).standard_normal((size, size)), np.inf
     count = max(1, int(2e8 / size**3))
     for _ in range(7):
@@ -58,14 +58,14 @@ def product_rate(size):
 
 
 def algebra(nodes, slabs, iterations, *, marginals=True):
-    """Least seconds of the algebra of an estimate."""
+    """Lower bound (s) for the algebra of an estimate."""
     size = nodes * DOF
     operations = slabs * (iterations * FACTOR + marginals * MARGINALS) * size**3
     return operations / product_rate(size)
 
 
 def batch(nodes, times, readings, runs):
-    """Seconds of an estimate, its floor, and its iterations."""
+    """Median seconds of an estimate, its lower bound, and its iterations."""
     prior, grid, streams = scene(nodes, times)
     if readings:
         span, length = grid.time[-1], grid.arclength[-1]
@@ -82,7 +82,7 @@ def batch(nodes, times, readings, runs):
 
 
 def update(nodes):
-    """Median seconds of an update of a window of four time nodes, and its floor."""
+    """Median seconds of an update of a window of four time nodes, and its lower bound."""
     robot, took = load_robot("tdcr466"), []
     smoother = FixedLagSmoother(robot.prior, np.linspace(0.0, robot.length, nodes), window=4)
     for now, streams in sliding(0.1 * UPDATES):
@@ -95,14 +95,14 @@ def update(nodes):
 
 
 def measured(runs, most):
-    """Cost by panel and amount of work."""
+    """Cost by panel and problem size."""
     panels = {
         "time nodes": (TIMES, lambda k: batch(5, k, 0, runs)),
         "arclength nodes": (NODES, lambda n: batch(n, 151, 0, runs)),
         "readings": (READINGS, lambda m: batch(5, 301, m, runs)),
         "arclength nodes, an update": (NODES, update),
     }
-    batch(NODES[0], TIMES[0], 0, 1)  # what a process loads once
+    batch(NODES[0], TIMES[0], 0, 1)  # warm-up
     found = {}
     for panel, (amounts, run) in panels.items():
         found[panel] = {}
@@ -114,7 +114,7 @@ def measured(runs, most):
 
 
 def draw(found, path):
-    """A panel each, both axes logarithmic."""
+    """Draw a panel per kind of size, with logarithmic axes."""
     figure, axes = plt.subplots(1, len(found), figsize=(11.0, 3.0), layout="constrained")
     for plot, (panel, rows) in zip(axes, found.items(), strict=True):
         for key, style in (("seconds", "o-"), ("floor", "k--")):
@@ -127,7 +127,7 @@ def draw(found, path):
 
 
 def table(found):
-    """Every number, in Markdown."""
+    """All numbers as a Markdown table."""
     yield from [
         "",
         "| work | amount | seconds | floor | × | iterations |",

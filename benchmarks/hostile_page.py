@@ -1,4 +1,4 @@
-"""Write the tables of docs/hostile.md from what mutations.py and faults.py found.
+"""Write the tables of docs/hostile.md from results of mutations.py and faults.py.
 
 Usage: hostile_page.py --mutations FILE.json --faults FILE.json …
 """
@@ -15,7 +15,7 @@ _WORSE = ("traceback", "hang", "death", "memory", "outside")
 
 
 def mutations(found):
-    """The lines on damaged files: what ended how, by parser."""
+    """Lines on damaged files: numbers of outcomes by parser."""
     rows = found["rows"]
     cells = [
         [
@@ -35,7 +35,7 @@ def mutations(found):
 
 
 def faults(runs):
-    """The lines on faults: the moments tried in one run or several, and the worst that was left."""
+    """Lines on faults: the times tried in one run or several, and the worst results."""
     heads = ["fault", "trials", "moments (s)", "exit status", "tracebacks", "left running"]
     heads += ["lost (s)", "log does not open", "stage moves on (s)", "torque not as set"]
     heads += ["not refused", "replay differs by"]
@@ -54,7 +54,7 @@ def faults(runs):
 
 
 def main():
-    """Write what is given."""
+    """Write the tables whose results are given."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--mutations", type=Path)
     parser.add_argument("--faults", type=Path, nargs="+")

@@ -1,7 +1,7 @@
-"""What nodes and watching do to confidence: a still robot with a coil at its tip, both priors.
+"""Effect of nodes and duration on confidence: a still robot with a coil at its tip, both priors.
 
-`python benchmarks/invariance.py` prints a table: the standard deviation of position at mid-length
-and mid-recording, and by how much it changes when nodes or the recording are doubled.
+`python benchmarks/invariance.py` prints the standard deviation of position at mid-length and
+mid-recording, and its change if nodes or the duration are doubled.
 """
 
 from dataclasses import replace
@@ -36,7 +36,7 @@ KINEMATIC = WhiteNoisePrior(
 
 
 def per_node(prior, grid, first):
-    """The prior as if every node repeated it, as published settings do: weights ignore spans."""
+    """Prior applied per node, as in published settings: weights do not depend on node spacing."""
     in_time = np.median(grid.time_spans) / np.median(first.time_spans)
     along = np.median(grid.arclength_spans) / np.median(first.arclength_spans)
     base = BaseDensity(*(in_time * getattr(prior.base, p) for p in ("pose", "strain", "velocity")))
@@ -68,7 +68,7 @@ def std_at_middle(prior, nodes=5, rate=RATE, duration=1.0, published=False):
 
 
 def page():
-    """The table, a row a prior."""
+    """Table with a row per prior."""
     changes = {
         "arclength nodes": {"nodes": 9},
         "time nodes": {"rate": 2.0 * RATE},

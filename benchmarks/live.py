@@ -1,12 +1,12 @@
-"""Live updates to OpenIGTLink viewers: how late they come, and what bad peers and kills cost.
+"""Latency of live updates to OpenIGTLink viewers, and the effect of slow or hostile peers.
 
     python benchmarks/live.py RECORDING... [--rate 60] [--points 30] [--seconds 8]
 
-For each recording, at its own pace: updates of all kinds (frames, tip, line, 95 % tube, ellipsoids)
-go to three viewers on loopback, each a process. Late is an update's last byte at a viewer, counted
-from the end of `advance`. On a machine that others use as well, `chrt -f 1 python …` keeps their
-load out of it. Then the same with a fourth peer that never reads, that is stopped, or that floods.
-What kills cost: benchmarks/live_peers.py.
+Each recording is replayed in real time: updates of all kinds (frames, tip, line, 95 % tube,
+ellipsoids) go to three viewers on loopback, each a process. Latency is the time from the end of
+`advance` to an update's last byte at a viewer. On a shared machine, `chrt -f 1 python …` excludes
+other load. The runs are repeated with a fourth peer that never reads, is stopped, or floods.
+For peers that are killed see benchmarks/live_peers.py.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ LAST = "Ellipsoids95"  # the last message of every update
 
 
 def view(port: int, out: str) -> None:
-    """Write when the last message of each update came, by its stamp, until the server is gone."""
+    """Write arrival times of each update's last message, by stamp, until the server closes."""
     framer, came, count = Framer(1 << 24), {}, 0
     with socket.create_connection(("127.0.0.1", port)) as link:
         while data := link.recv(1 << 16):
@@ -62,8 +62,8 @@ def never_read(port: int, out: str) -> None:
 
 
 def flood(port: int, out: str) -> None:
-    """Send whole messages as fast as they are taken; garbage at times, and come back."""
-    if hasattr(os, "sched_setscheduler"):  # an attacker from elsewhere has no priority here
+    """Send valid messages as fast as they are accepted, then garbage; reconnect repeatedly."""
+    if hasattr(os, "sched_setscheduler"):  # a remote attacker would have no real-time priority
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     message = encode(readings_message(_one_reading(), 1)) * 100
     while True:
@@ -95,14 +95,14 @@ def started(stack: ExitStack, kind: str, port: int, out: Path | str) -> subproce
 
 @dataclass
 class Timed:
-    """A session that notes when estimates ended and what handing them over took.
+    """A session with time measurements of its estimates and of its sink.
 
     Attributes:
         session: The session; its only sink is timed.
-        ended: When the estimate of a session time ended, monotonic s.
-        handed: Seconds, and seconds of processor time, of each update that was handed over.
-        stamps: When the estimate of each update's stamp ended, monotonic s.
-        computing: Seconds of each estimate.
+        ended: End of the estimate for each session time, monotonic s.
+        handed: Duration of `send`, and its processor time, for each update, s.
+        stamps: End of the estimate for each update's stamp, monotonic s.
+        computing: Duration of each estimate, s.
     """
 
     session: LiveSession
@@ -133,7 +133,7 @@ class Timed:
 
 
 def run(recording: str, options, extra: str, folder: Path) -> dict:
-    """One session with three viewers and perhaps an extra peer; its figures."""
+    """Run a session with three viewers and perhaps an extra peer; returns its measurements."""
     session = session_of(recording, options)
     (sink,), timed = session.sinks, Timed(session)
     outs = [folder / f"viewer{k}.json" for k in range(3)]
@@ -176,7 +176,7 @@ def session_of(recording: str, options) -> LiveSession:
 
 
 def join(stack: ExitStack, session: LiveSession, extra: str, folder: Path) -> None:
-    """Start the extra peer, and wait until all peers are connected."""
+    """Start the extra peer, if any, and wait until all peers are connected."""
     (sink,) = session.sinks
     if extra:
         fourth = started(stack, FOURTH[extra].__name__, sink.port, folder / "extra.json")
@@ -190,7 +190,7 @@ def join(stack: ExitStack, session: LiveSession, extra: str, folder: Path) -> No
 
 
 def lateness(stamps: dict[str, float], outs: list[Path]) -> tuple[list[float], int]:
-    """Seconds from an estimate's end to each viewer, and how many updates viewers missed."""
+    """Latencies (s) from an estimate's end to each viewer, and the number of missed updates."""
     late, missed = [], 0
     for out in outs:
         came = json.loads(out.read_text())

@@ -1,13 +1,13 @@
-"""What a live estimate loses when any of its peers is killed, again and again.
+"""Losses of a live estimate whose peers are killed repeatedly.
 
     python benchmarks/live_peers.py [--kills 50] [--seed 0] [--json FILE] [--page]
 
 One session estimates from an OpenIGTLink server, an OpenIGTLink client and a ROS 2 publisher, and
 sends to an OpenIGTLink client, an OpenIGTLink server and a ROS 2 subscriber; each is a process that
-is killed (kill -9) at a random moment after its start and started again. Another session estimates
-from a rig whose tracker is killed and started again, and others from rigs whose stage is killed. In
-each row: kills, how often the peer was in use again, how the session ended, and the readings that
-were used and that the journal holds. Without rclpy the rows of ROS 2 are left out.
+is killed (kill -9) at a random time after its start and restarted. Another session estimates from a
+rig whose tracker is killed and restarted, and others from rigs whose stage is killed. Each row has
+the number of kills and of reconnections, the end of the session, and the numbers of readings used
+and in the journal. Without rclpy the rows of ROS 2 are omitted.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ from plan_page import table, write
 
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "live.md"
 RATE = 10.0
-_BACK = 30.0  # s within which all peers must be in use again in the end
+_BACK = 30.0  # s: time limit for all peers to reconnect at the end
 
 
 def with_peers(options, folder: Path) -> list[dict]:
-    """A session whose peers are killed by turns; a row for each."""
+    """Run a session whose peers are killed and restarted; returns a row per peer."""
     robot, rng = load_robot(ROBOT), random.Random(options.seed)
     places = [Placement("base", 0.0), Placement("tip", robot.length)]
     topics = [Placement("/base", 0.0), Placement("/tip", robot.length)]
@@ -108,7 +108,7 @@ def with_peers(options, folder: Path) -> list[dict]:
 
 
 def _peers(sources, sinks, ports, options) -> list[Peer]:
-    """The peers of a session by the addresses that it has taken."""
+    """Peers of a session, at the addresses of its sources and sinks."""
     heard = [_Growing(lambda s=s: s.counts["heard"]) for s in sources]
     seen = [_Growing(lambda s=s: s.counts["connected"]) for s in sinks[:2]]
     out = [
@@ -131,7 +131,7 @@ def _peers(sources, sinks, ports, options) -> list[Peer]:
 
 @dataclass
 class _Growing:
-    """Whether a count has grown since the peer was killed."""
+    """Callable that tells whether a count has increased since the peer was killed."""
 
     count: object
     before: int = 0
@@ -146,7 +146,7 @@ def _gone(peer: Peer) -> None:
 
 
 class RigBench:
-    """A simulated tracker and a simulated stage, each of which can be killed."""
+    """Simulated rig whose tracker and stage can be killed."""
 
     def __init__(self, folder: Path) -> None:
         bench = load_bench(robot_file("sliding700"))
@@ -158,12 +158,12 @@ class RigBench:
         Scene.of(motion, still, [coil], T_wt=bench.tracker, flaws=bench.flaws).save(self.scene)
 
     def tracker(self) -> Device:
-        """A tracker at the same address as the one before."""
+        """Start a tracker; every tracker has the same address."""
         options = ["--scene", str(self.scene), "--tcp", str(self.port)]
         return Device("-m", "glissando.hardware.simulated_devices.aurora", *options)
 
     def session(self, stage: Device, journal: Path) -> LiveSession:
-        """A session with the rig while its slide goes to and fro."""
+        """Session with the rig while its slide oscillates."""
         settings = GcodeStage(stroke=(0.0, 0.06))
         rig = Rig(
             "bench", "sliding700", f"tcp://127.0.0.1:{self.port}", (Coil("coil", self.tip),),
@@ -180,7 +180,7 @@ def _stage() -> Device:
 
 
 def with_tracker_killed(options, folder: Path) -> dict:
-    """A session whose tracker is killed and comes back within its patience."""
+    """Run a session whose tracker is killed and restarted within the session's patience."""
     bench, rng = RigBench(folder), random.Random(options.seed + 1)
     row, used, ended = {"peer": "tracker of a rig", "kills": 0, "again": 0}, 0, "went on"
     with ExitStack() as stack:
@@ -208,7 +208,7 @@ def with_tracker_killed(options, folder: Path) -> dict:
 
 
 def with_stage_killed(options, folder: Path) -> dict:
-    """Sessions whose stage is killed at a random moment."""
+    """Run sessions whose stage is killed at a random time."""
     bench, rng = RigBench(folder), random.Random(options.seed + 2)
     ends, used, held, last = Counter(), 0, 0, ""
     with contextlib.closing(_Killed(bench.tracker())):
@@ -239,7 +239,7 @@ class _Killed:
     device: Device
 
     def close(self) -> None:
-        """Kill it."""
+        """Kill the device."""
         self.device.kill()
 
 
@@ -248,7 +248,7 @@ def _held(journal: Path) -> int:
 
 
 def main() -> None:
-    """Run all sessions and show the table."""
+    """Run all sessions and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--kills", type=int, default=50, help="of each peer that comes back")

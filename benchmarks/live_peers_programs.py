@@ -1,4 +1,4 @@
-"""Trackers and viewers that `live_peers.py` kills: each is a process that is started again."""
+"""Trackers and viewers that `live_peers.py` kills and restarts, each as a process."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from glissando.io.robot_file import load_robot
 
 ROBOT = "tdcr466"
 LENGTH = load_robot(ROBOT).length
-LIVES = 0.6  # s that a peer lives at most before it is killed
+LIVES = 0.6  # s: longest lifetime of a peer
 _PERIOD = 1.0 / 40.0  # s between a tracker's frames
 
 
@@ -37,7 +37,7 @@ def _frame() -> bytes:
 
 
 def _serve(port: int, speak) -> None:
-    """Speak with one client after another."""
+    """Run `speak` with one client after another."""
     with socket.create_server(("127.0.0.1", port)) as server:
         while True:
             with contextlib.suppress(OSError), server.accept()[0] as link:
@@ -45,7 +45,7 @@ def _serve(port: int, speak) -> None:
 
 
 def _call(port: int, speak) -> None:
-    """Speak with the server, and call again when it is gone."""
+    """Run `speak` with the server, and reconnect when it closes."""
     while True:
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port)) as link:
             speak(link)
@@ -64,27 +64,27 @@ def _read(link: socket.socket) -> None:
 
 
 def tracker_server(port: int) -> None:
-    """A tracker that is called."""
+    """Run a tracker as a server."""
     _serve(port, _send)
 
 
 def tracker_client(port: int) -> None:
-    """A tracker that calls."""
+    """Run a tracker as a client."""
     _call(port, _send)
 
 
 def viewer_client(port: int) -> None:
-    """A viewer that calls."""
+    """Run a viewer as a client."""
     _call(port, _read)
 
 
 def viewer_server(port: int) -> None:
-    """A viewer that is called."""
+    """Run a viewer as a server."""
     _serve(port, _read)
 
 
 def ros_publisher(domain: int) -> None:
-    """A tracker in a ROS 2 graph."""
+    """Run a tracker in a ROS 2 graph."""
     with Graph(Ros2Address(domain=domain), "tracker") as graph:
         from geometry_msgs.msg import PoseStamped
 
@@ -108,7 +108,7 @@ def ros_publisher(domain: int) -> None:
 
 
 def ros_subscriber(domain: int) -> None:
-    """A viewer in a ROS 2 graph."""
+    """Run a viewer in a ROS 2 graph."""
     with Graph(Ros2Address(domain=domain), "viewer") as graph:
         from geometry_msgs.msg import PoseArray
 
@@ -121,13 +121,13 @@ def ros_subscriber(domain: int) -> None:
 
 @dataclass
 class Peer:
-    """A process that is killed and started again.
+    """A process that is killed and restarted.
 
     Attributes:
-        name: What it is called in the table.
-        program: What it runs.
-        argument: A port or a domain.
-        used: Whether the session has it now, by counting what it did.
+        name: Name in the table.
+        program: Function that the process runs.
+        argument: Port or ROS 2 domain, passed to `program`.
+        used: Function that returns whether the session has used the peer since its last start.
     """
 
     name: str
@@ -141,12 +141,12 @@ class Peer:
     process: object = None
 
     def start(self, context, rng) -> None:
-        """Start it, for a time that is drawn."""
+        """Start the process, with a random lifetime."""
         self.process = context.Process(target=self.program, args=(self.argument,), daemon=True)
         self.process.start()
         self.awaited, self.until = True, time.monotonic() + rng.uniform(0.0, LIVES)
 
     def look(self) -> None:
-        """Count that it is in use again."""
+        """Count a reconnection if the session uses the peer again."""
         if self.awaited and self.used():
             self.awaited, self.returned = False, self.returned + 1

@@ -1,8 +1,8 @@
-"""Mistakes of a newcomer, drawn at random and applied to a session in memory.
+"""Random mistakes of new users, applied to a session in memory.
 
-Each takes a random generator and a session, and gives the session with the mistake, or None where
-it cannot be made. `MISTAKES` names them all, with the checks that name them rightly, once
-`mistakes_of_place` and `mistakes_of_streams` are imported.
+Each function takes a random generator and a session, and returns the session with the mistake, or
+None if it is not applicable. `MISTAKES` has them all, with the checks that identify them correctly,
+once `mistakes_of_place` and `mistakes_of_streams` are imported.
 """
 
 from dataclasses import dataclass, field, replace
@@ -15,7 +15,7 @@ from glissando.model.robot import Robot
 
 @dataclass(frozen=True)
 class Session:
-    """What goes into an estimate: a robot, sensors, truth, and the frames streams came in."""
+    """Input of an estimate: robot, sensors, truth, and frames of the streams in their files."""
 
     robot: Robot
     sensors: tuple
@@ -23,11 +23,11 @@ class Session:
     frames: dict = field(default_factory=dict)
 
     def frame(self, r):
-        """The pose of the frame that a stream came in."""
+        """Pose (4, 4) of the frame of a stream's file in the world."""
         return self.frames.get(r.name, np.eye(4))
 
     def changed(self, change, which):
-        """The session with `change` of the streams whose names are in `which`."""
+        """Session with `change` applied to the streams named in `which`."""
         new = {
             part: tuple(change(r) if r.name in which else r for r in getattr(self, part))
             for part in ("sensors", "truth")
@@ -52,7 +52,7 @@ def poses_of(streams):
 
 
 def one(rng, streams):
-    """The name of one of the streams, as a tuple; empty if there is none."""
+    """Name of a random stream, as a tuple; empty if there is none."""
     streams = list(streams)
     return (streams[rng.integers(len(streams))].name,) if streams else ()
 
@@ -68,7 +68,7 @@ def matrix_of(order, signs=(1, 1, 1)):
 
 
 def raw(session, r, change):
-    """The stream with its poses changed as its file has them."""
+    """Stream with its poses changed in the frame of its file."""
     frame = session.frame(r)
     return r.changed(values=frame @ change(se3.inverse(frame) @ r.values))
 
@@ -102,12 +102,12 @@ def place(pose, matrix, turn=False, mirror=False):
 
 
 def on_poses(session, which, change):
-    """Poses changed as files have them; None if no stream is chosen."""
+    """Session with the poses of streams changed in their files' frames; None without streams."""
     return session.changed(lambda r: raw(session, r, change), which) if which else None
 
 
 def framed(rng, session):
-    """The session with its poses said to be in a frame of their own, and its streams' names."""
+    """Session with pose sensors in a frame other than the world's, their names and that frame."""
     streams = poses_of(session.sensors)
     if not streams:
         return session, (), np.eye(4)
@@ -121,7 +121,7 @@ def framed(rng, session):
 
 
 def wrong_frame(rng, session, change):
-    """The session with a frame that is stated wrongly."""
+    """Session with a wrongly stated frame."""
     session, which, frame = framed(rng, session)
     if not which:
         return None

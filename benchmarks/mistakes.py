@@ -1,8 +1,8 @@
-"""Whether the guard names what newcomers get wrong and leaves alone what is right.
+"""Detection rates of the guard for mistakes of new users, and its false alarms.
 
-Applies each kind of mistake, with random parameters, to recordings and to simulated sessions;
-counts those that are named rightly, and what is found in correct ones. Mistakes that pass unnamed
-are estimated, to see whether they change the answer by more than its own σ (`--all` estimates all).
+Each kind of mistake is applied, with random parameters, to recordings and simulated sessions;
+correct detections are counted, and findings in correct sessions. Sessions with undetected mistakes
+are estimated, to see if the result changes by more than its σ (`--all` estimates all sessions).
 Thresholds were chosen on TUNED_ON; `--report` draws from REPORTED_ON instead.
 
 Usage: mistakes.py --recording FOLDER [--recording FOLDER …] [--robot FILE] [--window T0 T1]
@@ -60,13 +60,13 @@ def session_of(folder, robot, window):
 
 
 def windows_of(folder):
-    """The whole of a recording, then all its windows of 10 s."""
+    """Windows of a recording: the whole (None), then all of 10 s."""
     first, last = load_recording(folder).span()
     return [None, *((t, t + 10.0) for t in np.arange(first, last - 10.0, 10.0))]
 
 
 def simulated(seed):
-    """A session of a random shape, slide, speed and noise."""
+    """Simulated session with random shape, slide, speed and noise, and its window."""
     rng = np.random.default_rng(seed)
     slide = str(rng.choice(["hold", "oscillate", "traverse"]))
     scene = scenes.Scene(
@@ -89,7 +89,7 @@ def simulated(seed):
 
 
 def looked_at(session, window):
-    """What the guard finds, and in how many seconds; reading's own refusals count as findings."""
+    """Findings of the guard, and its time (s); errors of reading count as findings."""
     start = time.perf_counter()
     for r in session.sensors + session.truth:
         if np.any((r.arclength < -1e-9) | (r.arclength > session.robot.length + 1e-9)):
@@ -103,7 +103,7 @@ def looked_at(session, window):
 
 
 def answer(session, window):
-    """The estimate of a session."""
+    """Posterior of a session."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         grid = session.robot.grid(*window)
@@ -114,7 +114,7 @@ def answer(session, window):
 
 
 def changed(right, session, wrong, window):
-    """By how many σ a mistake moves the answer, or the errors it reports, RMS; inf if it fails."""
+    """RMS change of the estimate by a mistake, or of its reported errors, in σ; inf on failure."""
     std = np.sqrt(np.sum(right.std_pose()[..., :3] ** 2, axis=-1))
     of_truth = all(a is b for a, b in zip(wrong.sensors, session.sensors, strict=True))
     if of_truth and wrong.robot is session.robot:
@@ -134,7 +134,7 @@ def changed(right, session, wrong, window):
 
 
 def judge(name, session, window, draws, every):
-    """Every mistake on a session, `draws` times; a row each."""
+    """Rows for each mistake applied to a session, `draws` times."""
     rows, right = [], None
     for kind, (make, checks) in MISTAKES.items():
         for draw in draws:

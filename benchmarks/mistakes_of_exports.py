@@ -1,4 +1,4 @@
-"""Mistakes of exports: rotation vectors, columns and rows that got mixed up, other robots."""
+"""Mistakes of exports: wrong rotation vectors, exchanged columns and rows, other robots."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def logarithms_with_the_angle_first(rng, session):
 
 @mistake(*_SEEN)
 def positions_taken_for_logarithms(rng, session):
-    """Position and rotation vector side by side, read as the logarithm of the pose."""
+    """Position and rotation vector, read as the logarithm of the pose."""
 
     def change(pose):
         turn = se3.so3_log(pose[..., :3, :3])
@@ -63,7 +63,7 @@ def logarithms_taken_for_positions(rng, session):
 
 @mistake(*_SEEN)
 def tared_at_the_start(rng, session):
-    """Poses relative to the first, as programs show them after a click on zero."""
+    """Poses relative to the first, as after zeroing in a tracker's program."""
     which = names(poses_of(session.sensors))
     return on_poses(session, which, lambda p: se3.inverse(p[0]) @ p)
 
@@ -85,7 +85,7 @@ def played_backwards(rng, session):
 
 
 def _pair(rng, streams):
-    """Two streams; None if there are fewer."""
+    """Two random streams; None if there are fewer."""
     if len(streams) < 2:
         return None
     return [streams[i] for i in rng.choice(len(streams), 2, replace=False)]
@@ -93,7 +93,7 @@ def _pair(rng, streams):
 
 @mistake(*_SEEN)
 def positions_of_two_coils_exchanged(rng, session):
-    """The rotation of one beside the position of the other."""
+    """Positions of two coils exchanged, rotations unchanged."""
     pair = _pair(rng, poses_of(session.sensors))
     if pair is None:
         return None
@@ -114,7 +114,7 @@ def positions_of_two_coils_exchanged(rng, session):
 
 @mistake(*_SEEN, "sampling")
 def two_coils_in_one_stream(rng, session):
-    """Every second row is of the other coil."""
+    """Every second row is from another coil."""
     pair = _pair(rng, poses_of(session.sensors))
     if pair is None:
         return None
@@ -149,7 +149,7 @@ def angles_for_turn_rates(rng, session):
 
 @mistake(*_SEEN)
 def truth_of_another_motion(rng, session):
-    """Motion capture of another time of the day: the second half where the first should be."""
+    """Motion capture of another time: the values are shifted by half the recording."""
     which = names(session.truth)
     return (
         session.changed(lambda r: r.changed(values=np.roll(r.values, len(r) // 2, 0)), which)
@@ -160,7 +160,7 @@ def truth_of_another_motion(rng, session):
 
 def _length(factor):
     def make(rng, session):
-        """Another length in the robot file, with sensors and truth at their shares of it."""
+        """Another length in the robot file, with sensors and truth at the same fractions of it."""
         every = {r.name: factor * r.arclength for r in session.sensors + session.truth}
         session = session.changed(lambda r: r.changed(arclength=every[r.name]), tuple(every))
         robot, prior = session.robot, session.robot.prior

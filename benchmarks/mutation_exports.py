@@ -1,4 +1,4 @@
-"""Files of other programs, damaged and imported."""
+"""Parsers of other programs' files, with damaged samples."""
 
 import sys
 from pathlib import Path
@@ -24,7 +24,7 @@ _ARM = Path(__file__).parents[1] / "examples" / "scene" / "arm.toml"
 
 
 def import_parser(name, samples, mutate=damaged, robot=None, **options):
-    """As `import` reads them, each object at some arclength, of a robot if they need it."""
+    """Parser that imports files as the command `import` does, with every object at 0.1 m."""
 
     def read(files, folder, out):
         target = folder / next(iter(files)) if len(files) == 1 else folder
@@ -36,7 +36,7 @@ def import_parser(name, samples, mutate=damaged, robot=None, **options):
 
 
 def renamed(rng, files):
-    """A bag with names as long as its own that are paths or markup; or damaged as any file is."""
+    """Bag whose names are replaced by paths or markup of equal length, or a damaged bag."""
     if rng.random() < 0.7:
         return damaged(rng, files)
     name = pick(rng, sorted(files))

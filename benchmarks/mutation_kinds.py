@@ -23,12 +23,12 @@ SIZES = (1, 2, 4, 8)
 
 
 def pick(rng, choices):
-    """One of a sequence, as it is."""
+    """Random element of a sequence, without conversion."""
     return choices[int(rng.integers(len(choices)))]
 
 
 def mutated_number(rng, text):
-    """Another number, or something that is none, in the place of one."""
+    """Replacement for a number: another number, or a text that is not a number."""
     if rng.random() < 0.5:
         return pick(rng, NUMBERS)
     try:
@@ -38,7 +38,7 @@ def mutated_number(rng, text):
 
 
 def mutated_bytes(rng, data):
-    """Bytes with some changed, cut, doubled, or with a large number where a length may be."""
+    """Bytes with some changed, deleted, doubled, inserted, or overwritten by an integer."""
     out = bytearray(data)
     for _ in range(rng.integers(1, 8)):
         at, few = int(rng.integers(len(out) + 1)), int(rng.integers(1, 40))
@@ -68,7 +68,7 @@ def mutated_table(rng, text, delimiter=","):
             break
         kind, at = rng.integers(9), int(rng.integers(len(lines)))
         if rng.random() < 0.3:
-            at = int(rng.integers(min(len(lines), 6)))  # of the head
+            at = int(rng.integers(min(len(lines), 6)))  # in the header
         cells = lines[at].split(delimiter)
         column = int(rng.integers(len(cells)))
         if kind <= 2:
@@ -92,7 +92,7 @@ def mutated_table(rng, text, delimiter=","):
 
 
 def _scale_column(rng, lines, column, delimiter):
-    """Give a whole column in another unit."""
+    """Scale a whole column, as if in another unit."""
     factor = pick(rng, [1e3, 1e-3, 1e6, -1.0, 57.3, 0.0, 1e200])
     for k in range(1, len(lines)):
         parts = lines[k].split(delimiter)
@@ -104,7 +104,7 @@ def _scale_column(rng, lines, column, delimiter):
 
 
 def mutated_toml(rng, text):
-    """A TOML file with numbers, keys or lines damaged, or with its tree damaged."""
+    """TOML file with damaged numbers, keys or lines, or with a damaged tree."""
     if rng.random() < 0.5:
         return _mutated_lines(rng, text)
     tree = mutated_tree(rng, tomllib.loads(text))
@@ -145,7 +145,7 @@ def _without_none(tree):
 
 
 def mutated_tree(rng, tree):
-    """A tree of dicts and lists with some values replaced, names changed, entries lost."""
+    """Tree of dicts and lists with some values replaced, keys renamed, entries removed."""
     tree = copy.deepcopy(tree)
     for _ in range(rng.integers(1, 4)):
         places = list(_places(tree))
@@ -170,7 +170,7 @@ def mutated_tree(rng, tree):
 
 
 def _places(tree):
-    """Every holder and key below a tree."""
+    """Yield every container and key below a tree."""
     for key in list(tree) if isinstance(tree, dict) else range(len(tree)):
         yield tree, key
         if isinstance(tree[key], dict | list):
@@ -178,7 +178,7 @@ def _places(tree):
 
 
 def mutated_json(rng, data):
-    """JSON with its tree damaged, its bytes damaged, or nested deep."""
+    """JSON with a damaged tree, damaged bytes, or deep nesting."""
     if rng.random() < 0.1:
         return b"[" * 100_000 if rng.random() < 0.5 else b'{"a":' * 100_000
     if rng.random() < 0.3:
@@ -187,7 +187,7 @@ def mutated_json(rng, data):
 
 
 def mutated_file(rng, name, data):
-    """A file damaged as its kind may be, by its name's suffix."""
+    """File damaged by the method for its suffix."""
     suffix = name.rpartition(".")[2]
     if rng.random() < 0.1 or suffix not in ("csv", "toml", "json", "tsv", "yaml"):
         return mutated_bytes(rng, data)

@@ -1,4 +1,4 @@
-"""Sessions and journals, damaged and read."""
+"""Parsers of sessions and journals, with damaged samples."""
 
 import io
 import json
@@ -31,7 +31,7 @@ from mutation_samples import Parser, files_below
 
 
 def session_content():
-    """A session log as topics with messages, and its metadata, to damage and write again."""
+    """Content of a session log by topic, and its metadata, to be damaged and written again."""
     rng = np.random.default_rng(0)
     path = SlidePath.oscillate(1, 0.05, SlideLimits(0.06, 0.05, 0.2))
     topics = {"/slide": [], "/tracker/coil": [], "/mocap/tip": []}
@@ -52,7 +52,7 @@ def session_content():
 
 
 def written_log(topics, setup, start=0):
-    """The bytes of a log."""
+    """Bytes of a log with these topics and setup."""
     image = io.BytesIO()
     log = Writer(image, chunk_size=4096)
     log.start(profile="", library="glissando")
@@ -102,7 +102,7 @@ def session_parser():
 
 
 def _announcing(rng, data):
-    """A log whose chunks announce other sizes, or unpack to much more than they hold."""
+    """Log with a chunk whose stated size is wrong, or that decompresses to a much larger size."""
     import lz4.frame
     import zstandard
 

@@ -1,4 +1,4 @@
-"""Every reader of what others wrote or send, with sound samples and a way to damage them."""
+"""All parsers of external files and messages, with valid samples and methods to damage them."""
 
 import io
 import sys
@@ -46,7 +46,7 @@ from mutation_wires import aurora_parser, igtl_parser, line_parser, read_servo, 
 
 
 def read_recording(_, folder, out):
-    """As `check` does before an estimate."""
+    """Read and check a recording as the command `check` does, and write it again."""
     recording = load_recording(folder)
     robot = recording.robot
     if robot is None:
@@ -61,7 +61,7 @@ def read_recording(_, folder, out):
 
 
 def estimate_recording(_, folder, out):
-    """As `estimate` and `replay` do, where that takes seconds."""
+    """Estimate and replay a recording, if it is short enough to take seconds."""
     recording = load_recording(folder)
     robot, window = recording.robot, checked_window(recording, None)
     if robot is not None and (window[1] - window[0]) * robot.time_rate < _LONGEST:
@@ -81,7 +81,7 @@ def read_posterior(_, folder, out):
 
 
 def mutated_posterior(rng, files):
-    """One of its variables or attributes replaced by what it must not be, or its bytes."""
+    """Posterior file with an invalid variable or attribute, or with damaged bytes."""
     data = files["posterior.nc"]
     if rng.random() < 0.3:
         return {"posterior.nc": mutated_bytes(rng, data)}
@@ -110,7 +110,7 @@ def _damage_variable(rng, file):
         file[name][...] = values
     elif kind == 2 and values.dtype.kind == "f":
         file[name][...] = values * pick(rng, [-1.0, 1e3, 1e-3, 0.0, 1e200])
-    elif kind == 3:  # announced large, stored nowhere
+    elif kind == 3:  # large shape without stored data
         shape = tuple(int(n) for n in pick(rng, [(1 << 33,), (1 << 12,) * 3, (0,)]))
         del file[name]
         file.create_dataset(name, shape, "f8", chunks=True if 0 not in shape else None)
@@ -201,11 +201,11 @@ def report_parser(scratch, run):
 
 
 def parsers(scratch: Path, recording: Path | None = None) -> list[Parser]:
-    """All parsers, with samples made in a folder.
+    """All parsers, with samples written into a folder.
 
     Args:
-        scratch: Folder to make samples in.
-        recording: A recording to damage beside those that are simulated.
+        scratch: Folder for the samples.
+        recording: A recording to damage in addition to simulated ones, or None.
     """
     session = simulate("sliding700", shape="C", slide="hold", duration=4.0, seed=5)
     write_session(session, scratch / "simulated", "sliding700")

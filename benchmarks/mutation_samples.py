@@ -1,4 +1,4 @@
-"""A parser to try, and samples of files for it."""
+"""Parser under test, and sample files for it."""
 
 import sys
 from collections.abc import Callable
@@ -15,27 +15,27 @@ from mutation_kinds import (
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
 
-_LONGEST = 60  # time nodes of a damaged recording that is estimated
-ROWS = 60  # of each stream that are kept: damage does not need many
+_LONGEST = 60  # time nodes: longer damaged recordings are not estimated
+ROWS = 60  # rows kept of each stream, to save time
 Files = dict[str, bytes]
 
 
 def damaged(rng, files: Files) -> Files:
-    """The files, one of them damaged as its kind may be."""
+    """Files with a random one damaged by the method for its suffix."""
     name = pick(rng, sorted(files))
     return {**files, name: mutated_file(rng, name, files[name])}
 
 
 @dataclass(frozen=True)
 class Parser:
-    """A reader, and what it reads.
+    """A parser under test with its samples.
 
     Attributes:
-        name: What it reads.
-        samples: Sound files by name, or one entry of bytes that come over a line.
-        read: Reads them from a folder as a command does, and may write into another.
-        mutate: Damages them.
-        share: Of the mutations that other parsers get; less where reading is dear.
+        name: Name of the format.
+        samples: Valid files by name, or one entry "line" with bytes of a connection.
+        read: Function that reads files from a folder as a command does, and may write to another.
+        mutate: Function that damages files.
+        share: Number of mutations relative to other parsers; less for slow parsers.
     """
 
     name: str
@@ -46,13 +46,13 @@ class Parser:
 
 
 def files_below(folder: Path) -> Files:
-    """Every file below a folder."""
+    """Contents of all files below a folder, by relative path."""
     found = sorted(path for path in folder.rglob("*") if path.is_file())
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
 
 
 def shortened(source: Path) -> Files:
-    """A recording with the first rows of each stream."""
+    """Files of a recording with the first ROWS rows of each stream."""
     out = {}
     for name, data in files_below(source).items():
         if name.endswith(".csv"):

@@ -1,4 +1,4 @@
-"""Scenes with their meshes, and calibrations, damaged and read."""
+"""Parsers of scenes with meshes, and of calibrations, with damaged samples."""
 
 from pathlib import Path
 
@@ -32,7 +32,7 @@ radius = 0.02
 
 
 def scene_parser():
-    """A scene of the examples and a mesh; the scene is damaged."""
+    """Parser of a scene of the examples with a mesh; the scene is damaged."""
     robot = load_robot(_EXAMPLE / "arm.toml")
     text = (_EXAMPLE / "scene.toml").read_bytes()
     stone = trimesh.creation.box((0.02, 0.03, 0.01)).export(file_type="stl")
@@ -51,7 +51,7 @@ def scene_parser():
 
 
 def mesh_parser():
-    """Meshes of every kind that is read; texts are damaged by their numbers, too."""
+    """Parser of meshes of every supported format; numbers in text formats are damaged too."""
     box = trimesh.creation.box((0.02, 0.03, 0.01))
     kinds = {"a.stl": "stl", "b.stl": "stl_ascii", "c.ply": "ply", "d.obj": "obj"}
     samples = [{name: box.export(file_type=kind)} for name, kind in kinds.items()]
@@ -73,7 +73,7 @@ def mesh_parser():
 
 
 def calibration_parser(scratch):
-    """A calibration of a rig."""
+    """Parser of a rig's calibration."""
     rig = Rig(np.eye(4), 1, 0.1, 10.0, np.zeros(4), 0.0254, 1e-4, np.zeros(2), np.zeros(2))
     cov = 1e-8 * np.eye(len(PARAMETERS))
     Calibration(rig, cov, "coil", 3.0, (), ("of the zero little is seen",)).save(scratch / "c.toml")

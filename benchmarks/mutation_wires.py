@@ -1,4 +1,4 @@
-"""Bytes of devices and peers, damaged and read."""
+"""Parsers of devices' and peers' messages, with damaged samples."""
 
 import sys
 from pathlib import Path
@@ -28,7 +28,7 @@ from servo_world import World, together
 
 
 def line_parser(name, samples, read, resealed=None):
-    """Bytes that come over a line; half of the damaged ones with a checksum that fits again."""
+    """Parser of bytes of a connection; half of the damaged samples have a corrected checksum."""
 
     def mutate(rng, files):
         data = mutated_bytes(rng, files["line"])
@@ -40,7 +40,7 @@ def line_parser(name, samples, read, resealed=None):
 
 
 def rigid(pose):
-    """Raise unless a pose is finite and rigid: a wrong one must not be believed."""
+    """Raise unless a pose is finite and rigid: a parser must not accept other poses."""
     assert np.all(np.isfinite(pose)), "a pose is not finite"
     turn = pose[:3, :3]
     assert np.abs(turn @ turn.T - np.eye(3)).max() < 1e-2, "a pose is no rigid motion"
@@ -104,12 +104,12 @@ def vicon_parser():
 
 
 class SpoiltWorld(World):
-    """A servo some of whose answers are damaged on their way, as a seed says."""
+    """A simulated servo with randomly damaged replies."""
 
     rng = None
 
     def writePort(self, packet):  # noqa: N802
-        """Damage every third answer."""
+        """Damage each reply with probability 0.3."""
         sent = super().writePort(packet)
         if self.rng is not None and self._due and self.rng.random() < 0.3:
             when, data = self._due.pop()
@@ -121,7 +121,7 @@ class SpoiltWorld(World):
 
 
 def read_servo(raw):
-    """A short move with a servo whose answers are spoilt; it stands still at the end."""
+    """Make a short move with a servo whose replies are damaged; it must be at rest at the end."""
     world = SpoiltWorld()
     world.rng = np.random.default_rng(int.from_bytes(raw[:8].ljust(8, b"\0"), "little"))
     stage = Stage(lead=0.0254, stroke=(0.0, 0.06), home=-0.002)

@@ -1,9 +1,9 @@
-"""Whether damaged files and messages end in an answer or a sentence: soon, in bounds, in place.
+"""Fuzz test of all parsers: damaged files and messages must give a result or a clear error.
 
-Each parser reads samples that are damaged at random, in a process that is watched from outside. An
-answer and one of the package's own errors are well; else it is a traceback, a hang (more than 10 s
-of processor time), a death of the process, more than 1 GB of memory beyond what it had, or a file
-written outside the output folder, and is printed with its number.
+Each parser reads randomly damaged samples in a monitored process. A result, or one of the package's
+own errors, is correct; a traceback, a hang (more than 10 s of processor time), a crash of the
+process, more than 1 GB of additional memory, or a file written outside the output folder is a
+failure, and is printed with its number.
 
 Usage: mutations.py [--count N] [--seed S] [--jobs J] [--parser NAME,…]
                     [--recording FOLDER] [--json FILE]
@@ -38,7 +38,7 @@ from mutation_kinds import pick
 from mutation_parsers import parsers
 
 HANG, MEMORY = 10.0, 1.0  # s of processor time, GB
-BUSY = 6.0  # by which a busy machine may stretch that
+BUSY = 6.0  # largest ratio of wall-clock to processor time on a busy machine
 WELL = ("answer", "sentence")
 ENDS = (*WELL, "traceback", "hang", "death", "memory", "outside")
 _CACHES = (
@@ -51,7 +51,7 @@ _CHANGES = ("os.rename", "os.remove", "os.mkdir", "os.rmdir")
 
 
 def _heard(event, args):
-    """Note changes of files outside the folders that are allowed."""
+    """Audit hook that records changes of files outside the allowed folders."""
     if not _OUTSIDE["allowed"] or (event != "open" and event not in _CHANGES):
         return
     if event == "open" and not (isinstance(args[2], int) and args[2] & _WRITES):
@@ -70,7 +70,7 @@ sys.addaudithook(_heard)
 
 @dataclass
 class Tally:
-    """What became of the mutations of one parser."""
+    """Outcomes of the mutations of one parser."""
 
     counts: Counter = field(default_factory=Counter)
     longest: float = 0.0
@@ -78,7 +78,7 @@ class Tally:
     notes: list = field(default_factory=list)
 
     def add(self, number, end, seconds, gigabytes, note):
-        """Count one."""
+        """Count one outcome."""
         self.counts[end] += 1
         self.longest, self.memory = max(self.longest, seconds), max(self.memory, gigabytes)
         if end not in WELL:
@@ -86,7 +86,7 @@ class Tally:
 
 
 def _peak():
-    """The largest resident memory since it was cleared, GB."""
+    """Largest resident memory since `_clear_peak`, GB."""
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith("VmHWM"):
             return float(line.split()[1]) / 1e6
@@ -98,13 +98,13 @@ def _clear_peak():
 
 
 def mutated(parser, seed, number):
-    """The damaged files of a number."""
+    """Damaged files of the mutation with a number."""
     rng = np.random.default_rng([seed, number])
     return parser.mutate(rng, pick(rng, parser.samples))
 
 
 def tried(parser, files, place):
-    """Read files; how it ended, how long it took, how much memory, and why."""
+    """Read files; returns outcome, processor time (s), additional memory (GB) and a note."""
     folder, out = place / "in", place / "out"
     if "line" not in files:
         for path in (folder, out):
@@ -143,12 +143,12 @@ def tried(parser, files, place):
 
 
 def _serve(parser, seed, numbers, place, pipe):
-    """Try numbers one after the other and report each, until they are over."""
+    """Try mutations by number one after the other, and report each through a pipe."""
     here = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (here + (4 << 30),) * 2)
     with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
         for sample in parser.samples:
-            tried(parser, sample, place)  # the first on a machine compiles kernels into its cache
+            tried(parser, sample, place)  # the first run compiles kernels into the cache
             end, *_, note = tried(parser, sample, place)
             if end not in ("answer", "hang"):
                 raise RuntimeError(f"A sound {parser.name} ends in a {end}: {note}")
@@ -158,7 +158,7 @@ def _serve(parser, seed, numbers, place, pipe):
 
 
 def run(parser, seed, count, place):
-    """The tally of a parser's mutations; a process that hangs or dies is followed by another."""
+    """Run a parser's mutations; a process that hangs or crashes is replaced by a new one."""
     tally, number = Tally(), 0
     while number < count:
         ours, theirs = os.pipe()
@@ -178,7 +178,7 @@ def run(parser, seed, count, place):
 
 
 def _follow(tally, pipe, child, number):
-    """Take reports until the process ends; the number to go on with."""
+    """Receive reports until the process ends; returns the next number."""
     held = b""
     while True:
         ready = select.select([pipe], [], [], BUSY * HANG)[0]
@@ -246,7 +246,7 @@ def main():
 
 
 def as_json(tallies, options):
-    """What the page about it is written from."""
+    """Results as a dictionary, from which `hostile_page.py` writes the page."""
     rows = [
         {"parser": name, **{e: t.counts[e] for e in ENDS}, "longest_s": t.longest,
          "memory_gb": t.memory}
@@ -256,7 +256,7 @@ def as_json(tallies, options):
 
 
 def print_table(tallies):
-    """A row a parser."""
+    """Print a row per parser."""
     print(f"{'parser':20}" + "".join(f"{e:>10}" for e in ENDS) + "  longest s   more GB")
     for name, t in tallies.items():
         cells = "".join(f"{t.counts[e]:10}" for e in ENDS)

@@ -1,7 +1,7 @@
-"""How long until a newcomer sees a first estimate: the README followed in a fresh clone.
+"""Time until a new user has a first estimate: the README's steps in a fresh clone.
 
 Clones this checkout's last commit into a temporary folder, makes a virtual environment, installs,
-runs the README's script and estimates a simulated recording with pictures. Prints seconds a step.
+runs the README's script and estimates a simulated recording with pictures. Prints seconds per step.
 Usage: newcomer.py [EXTRAS], by default the README's `all`; needs a network for pip.
 """
 
@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def steps(extras, clone, python, glissando):
-    """What the README says, in order: a name and the command."""
+    """Steps of the README in order: name and command."""
     script = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     yield "clone", ["git", "clone", "--quiet", "--depth", "1", ROOT.as_uri(), clone]
     yield "virtual environment", [sys.executable, "-m", "venv", clone / ".venv"]

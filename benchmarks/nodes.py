@@ -1,9 +1,9 @@
-"""What nodes buy: accuracy, confidence and time of both priors for growing grids.
+"""Accuracy, confidence and time of both priors for growing grids.
 
-fast_contact is estimated with everything at its default but the nodes. The separable prior is one
-process however many nodes there are, so it may do with fewer. Times are processor seconds of this
-process, covariances in, as ratios to the kinematic prior on 5 × 30 Hz, so that a slow machine shows
-the same picture.
+fast_contact is estimated with defaults for everything but the nodes. The separable prior is the
+same process for any number of nodes, so it may need fewer. Times are processor seconds of this
+process, covariances included, as ratios to the kinematic prior on 5 × 30 Hz, which hardly depend on
+the machine.
 Usage: nodes.py [FOLDER of public recordings] [--robots KINEMATIC SEPARABLE] [--runs N]
 """
 
@@ -31,13 +31,13 @@ ARCLENGTH = (3, 5, 9)
 RATES = (5.0, 10.0, 15.0, 20.0, 30.0)
 REFERENCE = (5, 30.0)
 MIDDLE = 0.233  # m, where the two segments meet: a node of all grids
-CLAIM = 3.0  # times the kinematic prior's time that the separable one may take
-AT_NODES = np.linspace(*WINDOW, 51)  # of every rate here
+CLAIM = 3.0  # largest time of the separable prior, over the kinematic prior's
+AT_NODES = np.linspace(*WINDOW, 51)  # times that are nodes for every rate here
 BETWEEN = np.linspace(*WINDOW, 241)
 
 
 def on_nodes(robot, nodes, rate):
-    """The robot on another grid, which keeps its joint a node."""
+    """Robot on another grid; its joint must be a node."""
     arclength = np.linspace(0.0, robot.length, nodes)
     if np.abs(arclength - MIDDLE).min() > 1e-9:
         raise SystemExit(f"{nodes} nodes along the robot leave out its joint at {MIDDLE:g} m.")
@@ -45,7 +45,7 @@ def on_nodes(robot, nodes, rate):
 
 
 def solved(robot, recording):
-    """The posterior of the window with the robot's settings."""
+    """Posterior of the window with the robot's settings."""
     use, _ = recording.choose(None, None)
     readings, _ = recording.readings(use, robot, WINDOW)
     with warnings.catch_warnings():
@@ -66,7 +66,7 @@ def judged(posterior, robot, known, recording):
 
 
 def row(robot, nodes, rate, numbers, solve, unit):
-    """A row of the table; `unit` is the processor time that counts as 1."""
+    """Row of the table, with times relative to `unit` (s)."""
     rmse, inside, at_nodes, between = numbers
     seconds = solve.seconds["total"]
     done = f"{solve.iterations}" + ("" if solve.converged else " (not converged)")
@@ -79,7 +79,7 @@ def row(robot, nodes, rate, numbers, solve, unit):
 
 
 def compare(robots, recording, runs):
-    """Solves on the reference grid, in turns, and the median of the times of each."""
+    """Solve reports on the reference grid, run in turns, and the median time of each robot."""
     found = [
         [solved(on_nodes(r, *REFERENCE), recording).solve for r in robots] for _ in range(runs)
     ]
@@ -98,10 +98,10 @@ def main():
         return
     recording = load_recording(options.folder / RECORDING)
     robots = [load_robot(name) for name in options.robots]
-    known = robots[1].sensor_parameters  # of the truth: both are judged by the same
+    known = robots[1].sensor_parameters  # of the truth, the same for both robots
 
     one, other = robots
-    alike = replace(one, prior=other.prior)  # the same sensors, nothing of them unknown
+    alike = replace(one, prior=other.prior)  # the same sensors, without unknown parameters
     solves, medians = compare((one, alike, other), recording, options.runs)
     unit, ratio = medians[0], medians[1] / medians[0]
     each = ratio * solves[0].iterations / solves[1].iterations

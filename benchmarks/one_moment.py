@@ -1,8 +1,8 @@
-"""Shapes of one moment that are read at the tip alone: what a Gaussian claims, and draws.
+"""Consistency of static shapes read at the tip only: Gaussian posterior against samples.
 
 Shapes are drawn from the prior of a robot file with [base] and a separable prior; each is estimated
-from what a sensor at its tip reads, by `estimate` and by `sample_static`. Printed are shares inside
-95 % and mean squared errors by what is claimed for them (1 if true), in the middle and at the tip.
+from readings at its tip, by `estimate` and by `sample_static`. The table has the share inside 95 %
+and the NEES per degree of freedom (1 if consistent), in the middle and at the tip.
 Usage: one_moment.py [--robot FILE] [--shapes N] [--draws N]
 """
 
@@ -36,13 +36,13 @@ PARTS = {"position": slice(0, 3), "rotation": slice(3, 6)}
 
 
 def squared(error, mean, cov):
-    """Squared errors of position and rotation by a covariance of both (6, 6)."""
+    """NEES of position and of rotation, for a covariance (6, 6) of both."""
     miss = error[:6] - mean[:6]
     return [miss[p] @ np.linalg.solve(cov[p, p], miss[p]) for p in PARTS.values()]
 
 
 def of_draws(shapes, truth):
-    """The same by draws (S,) of the state at a place."""
+    """NEES of position and of rotation, for samples (S,) of the state at a place."""
     first = shapes.take(slice(0, 1))
     apart = shapes.difference(first)[:, :6]
     error = truth.take(np.newaxis).difference(first)[0]
@@ -50,7 +50,7 @@ def of_draws(shapes, truth):
 
 
 def judged(robot, layout, shapes, draws):
-    """Squared errors (shapes, 2 methods, 2 places, 2 parts)."""
+    """NEES (shapes, 2 methods, 2 places, 2 parts) of position and rotation."""
     grid = Grid(robot.arclength_nodes, [0.0])
     predictive = PriorPredictive(robot, grid, [layout])
     rows = []

@@ -1,6 +1,7 @@
 """Write the measured part of docs/online.md: latency, errors and memory of the online estimator.
 
-One thread; the machine's own arithmetic stands beside. FOLDER holds the public recordings.
+One thread; the time of the arithmetic alone is given for comparison. FOLDER holds the public
+recordings.
 Usage: online.py [--data FOLDER] [--learned FILE] [--hours H]
 """
 
@@ -35,10 +36,10 @@ SIZES = [(5, 4), (5, 1), (10, 10)]
 ROUNDS = 5
 DOF = 18
 LENGTH = load_robot("tdcr466").length
-TRACKER_RATE = 40.0  # Hz, of the tracker that was asked 50 times a second
-LATE = {"slow_free_space": 0.02, "fast_contact": 0.002}  # s, motion capture after the tracker
+TRACKER_RATE = 40.0  # Hz: rate of the tracker, which was polled at 50 Hz
+LATE = {"slow_free_space": 0.02, "fast_contact": 0.002}  # s: delay of motion capture
 
-MEASURED = "## On the public recordings\n"  # what lies below it on the page is written here
+MEASURED = "## On the public recordings\n"  # the page below this heading is generated
 
 
 def number(value, scale=1.0, digits=1):
@@ -51,7 +52,7 @@ def tip(judged):
 
 
 def run(data, name, window, nodes, lag):
-    """A replay of one row of the table."""
+    """Replay one row of the table; returns its report as a dictionary."""
     recording = load_recording(data / name)
     robot = recording.robot
     robot = replace(robot, arclength_nodes=np.linspace(0.0, robot.length, nodes))
@@ -61,7 +62,7 @@ def run(data, name, window, nodes, lag):
 def recordings(data):
     """Rows of the table of public recordings with published settings, each run ROUNDS times.
 
-    By turns, as a machine that is shared is slow for minutes; told is the run in the middle.
+    Runs take turns, because a shared machine may be slow for minutes; the median run is reported.
     """
     rows = [(row, size) for row in PUBLISHED for size in SIZES]
     runs = [[run(data, *row[:2], *size) for row, size in rows] for _ in range(ROUNDS)]
@@ -86,7 +87,7 @@ def recordings(data):
 
 
 def settings(data, learned):
-    """Rows of errors of the tip by what is known of the robot and of the tracker."""
+    """Rows of errors of the tip by settings of the robot and of the tracker."""
     lines = []
     for name, window, (theirs, _), *_ in PUBLISHED[:3]:
         recording = load_recording(data / name)
@@ -114,9 +115,9 @@ def settings(data, learned):
 
 
 def arithmetic(nodes, changed=2):
-    """Floating-point operations (millions) of an update, and ms at the speed of this machine."""
+    """Floating-point operations (millions) of an update, and their time (ms) on this machine."""
     size = nodes * DOF
-    each = 1 / 3 + 1 / 3 + 2 + 2  # factor, invert, reach ahead, carry on
+    each = 1 / 3 + 1 / 3 + 2 + 2  # factor, invert, coupling, Schur complement
     millions = changed * each * size**3 / 1e6
     a = np.random.default_rng(0).standard_normal((size, size))
     best = np.inf
@@ -128,7 +129,7 @@ def arithmetic(nodes, changed=2):
 
 
 def sliding(duration):
-    """An endless sliding coil and a base reading, one update's readings at a time."""
+    """Yield time and readings of each update: a sliding coil and the base, for `duration` s."""
     step, rate = 0.1, 40.0
     for k in range(1, int(duration / step) + 1):
         now = (k - 1) * step + np.arange(1, 5) / rate
@@ -156,13 +157,13 @@ def sliding(duration):
 
 
 def resident():
-    """Megabytes this process holds."""
+    """Resident memory of this process, MB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def endurance(hours):
-    """Memory (MB) after the first minute and at the end; median latency (ms) early and late."""
+    """Number of updates, memory (MB) after a minute and at the end, median latencies (ms)."""
     robot = load_robot("tdcr466")
     smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=4)
     latency, early = [], 0.0
@@ -180,7 +181,7 @@ def endurance(hours):
 
 
 def public(data, learned):
-    """Latencies and errors on the public recordings."""
+    """Lines on latencies and errors on the public recordings."""
     return [
         MEASURED,
         f"Published settings, 30 updates a second, one thread, {platform.machine()}, "
@@ -213,7 +214,7 @@ def public(data, learned):
 
 
 def limits():
-    """What an update's arithmetic would take."""
+    """Lines on the time of an update's arithmetic."""
     text = [
         "A lower bound for the arithmetic, if every operation were as fast as a matrix product of "
         "that size on this machine:",
@@ -233,7 +234,7 @@ def limits():
 
 
 def hours_on(hours):
-    """Memory and latency over a long time."""
+    """Lines on memory and latency over a long time."""
     updates, early, late, (first, last) = endurance(hours)
     return [
         "## For hours",

@@ -1,9 +1,9 @@
-"""Does a robust loss shrug off gross errors of a tracker: accuracy with 5 % of its rows ruined.
+"""Robustness to gross errors of a tracker: accuracy with 5 % outliers, by robust loss.
 
-Rows of both trackers of fast_contact are moved 10 cm in a random direction and turned 45° about a
-random axis. Estimates with no loss, with Geman-McClure's and with Huber's at some thresholds, on
-the rows as they are and ruined by some seeds; errors against motion capture, put right by what the
-robot file knows of it.
+Rows of both trackers of fast_contact are moved 10 cm in a random direction and rotated 45° about a
+random axis. Estimates without a loss, with Geman-McClure's and with Huber's at some thresholds, on
+the original rows and with outliers by some seeds; errors are against motion capture, corrected by
+the robot file's known sensor parameters.
 Usage: outliers.py [FOLDER of public recordings] [--robot NAME] [--seeds N]
 """
 
@@ -31,7 +31,7 @@ RECORDING = "fast_contact"
 WINDOWS = [(10.0, 20.0), (20.0, 30.0)]
 TRACKERS = ("aurora0", "aurora1")
 SHARE, MISS, TURN = 0.05, 0.10, np.pi / 4  # of rows; m; rad
-LOSSES = {  # an honest reading of six numbers is about √6 long
+LOSSES = {  # the whitened residual of an inlier with six components has a norm of about √6
     "none": None,
     "Geman-McClure, 4": GemanMcClure(4.0),
     "Geman-McClure, 8": GemanMcClure(8.0),
@@ -41,7 +41,7 @@ LOSSES = {  # an honest reading of six numbers is about √6 long
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one estimate came to; `rmse` in metres, NaN where there was no estimate."""
+    """Result of one estimate; `rmse` in metres, NaN if the estimate failed."""
 
     rmse: float
     suspects: int
@@ -50,13 +50,13 @@ class Outcome:
 
 
 def directions(rng, count):
-    """Unit vectors (count, 3), every direction alike."""
+    """Uniformly distributed unit vectors (count, 3)."""
     v = rng.normal(size=(count, 3))
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
 def ruined(readings, rng):
-    """The readings with a share of rows grossly wrong, and how many."""
+    """Readings with a share of outliers, and their number."""
     rows = rng.choice(len(readings), round(SHARE * len(readings)), replace=False)
     values = readings.values.copy()
     turn = np.zeros((rows.size, 6))
@@ -67,7 +67,7 @@ def ruined(readings, rng):
 
 
 def spoiled(readings, seed):
-    """All streams with the trackers' rows ruined, and how many rows were; None ruins none."""
+    """All streams with outliers in the trackers, and their number; no outliers if seed is None."""
     if seed is None:
         return readings, 0
     rng, out, count = np.random.default_rng(seed), [], 0
@@ -80,7 +80,7 @@ def spoiled(readings, seed):
 
 
 def outcome(robot, window, readings, truth, loss):
-    """Estimate with this loss on the trackers and judge it."""
+    """Estimate with a robust loss on the trackers, and evaluate the result."""
     readings = [replace(r, loss=loss) if r.name in TRACKERS else r for r in readings]
     try:
         with warnings.catch_warnings():
@@ -99,13 +99,13 @@ def outcome(robot, window, readings, truth, loss):
 
 
 def span(values, form="{:g}"):
-    """Smallest to largest of some numbers."""
+    """Range of some numbers as text."""
     low, high = form.format(min(values)), form.format(max(values))
     return low if low == high else f"{low} to {high}"
 
 
 def rows(recording, robot, window, seeds):
-    """Lines of the table: a row a loss, means over seeds with the worst of them."""
+    """Yield a line of the table per loss: means over seeds, with the worst."""
     readings, truth, _ = chosen_streams(recording, robot, window, None, None)
     trackers = sum(len(r) for r in readings if r.name in TRACKERS)
     bare = None

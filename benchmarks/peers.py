@@ -1,11 +1,11 @@
-"""Static shapes against GTSAM and against curves: accuracy, confidence and time; writes the page.
+"""Static shapes against GTSAM and curves: accuracy, confidence and time; writes the page.
 
-A robot is read in a few places; told is where it is between them. Shapes are another group's (a
-steel rod, base fixed, four poses read) and a real robot's (base and tip read by a tracker, motion
-capture between them). Ours and GTSAM's each have a uniform prior, with numbers that make the truth
-of other shapes most likely by their own account. One thread; times of ours and GTSAM's alternate in
-one process and hold everything from readings in arrays to mean and covariance at the queries.
-Usage: peers.py [--tune]   (--tune finds the numbers again first, in a few minutes)
+A robot is read in a few places; its position between them is predicted. Shapes are another group's
+(a steel rod, base fixed, four poses read) and a real robot's (base and tip read by a tracker,
+motion capture between them). Ours and GTSAM's each have a uniform prior, whose numbers maximise
+their own likelihood of the truth of other shapes. One thread; times of ours and GTSAM's alternate
+in one process and include everything from arrays of readings to mean and covariance at the queries.
+Usage: peers.py [--tune]   (--tune fits the numbers again first, in a few minutes)
 """
 
 import argparse
@@ -36,7 +36,7 @@ from peers_problems import REPORTED_ON, ROD_NOISE, TUNED_ON, Numbers
 EACH = 100  # shapes solved together where time is measured
 
 
-# Of the comparison on growing grids: so soft in shear that GTSAM factors dense ones, too.
+# Parameters for growing grids: soft in shear, so that GTSAM can factor dense ones.
 COMMON = [-3.0, 0.0, -0.5, -3.0, 1.3, 0.0, *ROD_NOISE]
 # Found by --tune, rounded: decimal logarithms of the numbers, ours and GTSAM's.
 TUNED = {
@@ -52,8 +52,8 @@ TUNED = {
 
 
 def uniform(problem, numbers):
-    """Our prior with the same numbers as GTSAM's."""
-    loose = problem.base_std or 10.0  # where the base is read, nothing else is known of it
+    """Our uniform prior, with the parameters that GTSAM's has."""
+    loose = problem.base_std or 10.0  # a base that is read has no other prior
     base = BaseVariance(np.full(6, loose**2), numbers.base_strain)
     return SeparablePrior(numbers.psd, 1.0, base, base_pose=problem.base_pose)
 
@@ -78,7 +78,7 @@ def ours(problem, numbers, nodes=None, prior=None, options=None):
 
 
 def judged(problem, place, cov=None):
-    """Median error and RMSE in mm, and the share inside the 95 % ellipsoid where there is one."""
+    """Median error and RMSE (mm), and the share inside the 95 % ellipsoid, None without `cov`."""
     error = place - problem.query_position
     size = 1e3 * np.linalg.norm(error, axis=1)
     told = {"median": np.median(size), "rmse": np.sqrt(np.mean(size**2)), "inside": None}
@@ -88,17 +88,17 @@ def judged(problem, place, cov=None):
 
 
 def surprise(problem, error, cov):
-    """Squared errors (M,) in units of their covariance, and its log-determinant (M,)."""
+    """NEES (M,) of errors, truth noise included, and log-determinants (M,) of the covariance."""
     cov = cov + problem.true_std**2 * np.eye(3)
     nees = np.einsum("mi,mi->m", error, np.linalg.solve(cov, error[..., None])[..., 0])
     return nees, np.linalg.slogdet(cov)[1]
 
 
 def tuned(name, solve, stiffest):
-    """Decimal logarithms of the numbers under which `solve` predicts the truth best.
+    """Decimal logarithms of the numbers that maximise the likelihood of the truth under `solve`.
 
     Free are the densities of shear and of bending, the variance of the base's bending, and the
-    noise of a real tracker; torsion hardly shows.
+    noise of a real tracker; torsion is hardly observable.
     """
     problem = TUNED_ON[name]()
     start = np.array([-5.0, 0.0, -0.5, -5.0, 1.3, 0.0, *ROD_NOISE])
@@ -125,13 +125,13 @@ def tuned(name, solve, stiffest):
     return logs_of(found.x).round(2).tolist()
 
 
-# Densities of shear, as decimal logarithms, beyond which digits are lost: GTSAM cannot factor some
-# shapes at −7.5, ours changes no more.
+# Smallest densities of shear (decimal logarithms) without loss of precision: GTSAM cannot factor
+# some shapes at −7.5; results of ours do not change below.
 STIFFEST = ((ours, -9.0), (peers_gtsam.solve, -7.0))
 
 
 def segmented(problem):
-    """A prior that knows of segments: learned on other rods; the shipped one of the real robot."""
+    """Prior with segments: learned on other rods, or that of the real robot's shipped file."""
     if problem.name == "steel rod":
         robot = parse_robot(Table(shapes.LEARNED, "steel rod", GlissandoError))
         return replace(robot.prior, base_pose=problem.base_pose)
@@ -141,7 +141,7 @@ def segmented(problem):
 
 
 def methods(problem):
-    """Name and solver of everything compared on a problem; solvers of curves give no covariance."""
+    """Names and solvers of all methods compared on a problem; curves have no covariance."""
     our_numbers, their_numbers = (Numbers.of(logs) for logs in TUNED[problem.name])
     jointed = segmented(problem)
     nodes = np.union1d(problem.nodes, jointed.joints)
@@ -156,18 +156,18 @@ def methods(problem):
 
 
 def accuracy(problem):
-    """What every method says of a problem, by name."""
+    """Accuracy of every method on a problem, by name."""
     return {name: judged(problem, *solve(problem)) for name, solve in methods(problem).items()}
 
 
 def accuracy_row(name, told):
-    """A row of a table of accuracy, but for its last cell, the time."""
+    """Row of the table of accuracy without its last cell, the time."""
     inside = "" if told["inside"] is None else f"{100 * told['inside']:.1f} %"
     return f"| {name} | {told['rmse']:.2f} | {told['median']:.2f} | {inside} |"
 
 
 def timed(solvers, problem, rounds):
-    """Milliseconds of processor time a shape by name: medians of rounds in which all take turns."""
+    """Milliseconds of processor time per shape, by name: medians of rounds with all in turn."""
     seconds = {name: [] for name in solvers}
     for _ in range(rounds):
         for name, solve in solvers.items():
@@ -178,7 +178,7 @@ def timed(solvers, problem, rounds):
 
 
 def refinements(problem):
-    """Ours and GTSAM's on growing grids with the very same numbers."""
+    """Ours and GTSAM's on growing grids with equal parameters."""
     numbers = Numbers.of(np.array(COMMON))
     out = {
         ("ours", problem.nodes.size): lambda p: ours(p, numbers),
@@ -191,7 +191,7 @@ def refinements(problem):
 
 
 def distances(problem):
-    """How far each grid's answer is from the limit: the largest of means (mm) and of std (%)."""
+    """Largest difference of each grid's result from the limit, of means (mm) and of std (%)."""
     numbers, exact = Numbers.of(np.array(COMMON)), SolverOptions(tolerance=1e-6)
     fine = peers_gtsam.refine(problem.stations, 2)
     place, cov = ours(problem, numbers, fine, options=exact)

@@ -1,4 +1,4 @@
-"""Curves through readings, that know nothing of a robot: what an estimator has to beat."""
+"""Interpolating curves through readings without a robot model, as baselines."""
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
@@ -9,7 +9,7 @@ from glissando.model.priors.rest_shape import STRAIGHT
 
 
 def knots(problem, shape):
-    """Arclengths (R,) and poses (R, 4, 4) that a curve goes through, the base the first."""
+    """Arclengths (R,) and poses (R, 4, 4) of a curve's knots, the base first."""
     mine = problem.reading_shape == shape
     s, pose = problem.reading_arclength[mine], problem.reading_pose[mine]
     if problem.base_std:
@@ -18,29 +18,29 @@ def knots(problem, shape):
 
 
 def hermite(s, pose, at):
-    """Cubics through positions and tangents."""
+    """Cubic Hermite curve through positions and tangents."""
     return CubicHermiteSpline(s, pose[:, :3, 3], pose[:, :3, 2])(at)
 
 
 def spline(s, pose, at):
-    """A cubic spline through positions, along the base's tangent and free at the end."""
+    """Cubic spline through positions, clamped to the base's tangent and natural at the end."""
     return CubicSpline(s, pose[:, :3, 3], bc_type=((1, pose[0, :3, 2]), (2, np.zeros(3))))(at)
 
 
 def between(s, pose, at):
-    """Poses (M, 4, 4) and strains (M, 6) of constant strain from each reading to the next."""
+    """Poses (M, 4, 4) and strains (M, 6) of piecewise constant strain between readings."""
     k = np.clip(np.searchsorted(s, at, "right") - 1, 0, s.size - 2)
     strain = se3.log(se3.inverse(pose[k]) @ pose[k + 1]) / (s[k + 1] - s[k])[:, None]
     return pose[k] @ se3.exp((at - s[k])[:, None] * strain), strain
 
 
 def arcs(s, pose, at):
-    """Constant strain between readings: helices, arcs if nothing twists or shears."""
+    """Piecewise constant strain between readings: helices, or arcs without twist and shear."""
     return between(s, pose, at)[0][:, :3, 3]
 
 
 def one_arc(s, pose, at):
-    """One arc from the base, whose bend fits all positions best."""
+    """Single arc from the base whose curvature fits all positions best."""
 
     def along(bend, where):
         strain = np.concatenate([STRAIGHT[:3], bend, [0.0]])

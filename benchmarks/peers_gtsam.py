@@ -1,6 +1,6 @@
-"""The same shapes by GTSAM: its white-noise-on-acceleration factors along arclength, on SE(3).
+"""Static shapes by GTSAM: white-noise-on-acceleration factors along arclength, on SE(3).
 
-Twists cross the border as [linear, angular]; GTSAM keeps [angular, linear] within.
+Twists of this interface are [linear, angular]; inside, GTSAM's are [angular, linear].
 """
 
 from itertools import pairwise
@@ -17,8 +17,8 @@ SWAP = np.array([3, 4, 5, 0, 1, 2])
 def solve(problem, numbers, refined=0, *, tight=False):
     """Positions (M, 3) at the problem's queries with covariances (M, 3, 3), in the world.
 
-    Nodes are the problem's stations, each interval halved `refined` times; `tight` iterates to the
-    last digit.
+    Nodes are the problem's stations, each interval halved `refined` times; `tight` iterates to
+    machine precision.
     """
     nodes = refine(problem.stations, refined)
     at = np.searchsorted(nodes, problem.query_arclength - 1e-9)
@@ -37,7 +37,7 @@ def solve(problem, numbers, refined=0, *, tight=False):
 
 
 def refine(nodes, times):
-    """The nodes with every interval halved so many times."""
+    """Nodes with every interval halved `times` times."""
     for _ in range(times):
         nodes = np.sort(np.concatenate([nodes, 0.5 * (nodes[1:] + nodes[:-1])]))
     return nodes
@@ -52,10 +52,10 @@ def strain_key(node):
 
 
 def posed(problem, numbers, nodes, shape):
-    """Graph and start of one shape of the problem.
+    """Factor graph and initial guess of one shape of the problem.
 
-    The start is the curve of constant strain between readings: from a straight robot, which is
-    enough for us, some shapes end elsewhere.
+    The initial guess has piecewise constant strain between readings: from a straight robot, which
+    suffices for ours, some shapes converge to other solutions.
     """
     diagonal = gtsam.noiseModel.Diagonal
     mine = problem.reading_shape == shape
@@ -82,7 +82,7 @@ def posed(problem, numbers, nodes, shape):
 
 
 def optimised(graph, values, *, tight=False):
-    """What Levenberg and Marquardt's steps lead to; plain Gauss-Newton fails on dense nodes."""
+    """Optimise by Levenberg–Marquardt; plain Gauss–Newton fails on dense nodes."""
     parameters = gtsam.LevenbergMarquardtParams()
     if tight:
         parameters.setRelativeErrorTol(1e-15)

@@ -1,4 +1,4 @@
-"""The page of the comparison: its text, its sentences on time, its figure."""
+"""Page of the comparison: text, sentences on time, and figure."""
 
 from textwrap import fill
 
@@ -59,7 +59,7 @@ and gyroscopes add. Methods that know a rod's mechanics are compared in
 
 
 def ratios(far, times, each):
-    """Sentences on how much faster ours is: on the same nodes, and for the same confidence."""
+    """Sentences on the ratio of times, for equal nodes and for equal accuracy of confidence."""
     few, many = min(k[1] for k in far if k[0] == "ours"), max(k[1] for k in far if k[0] == "ours")
     same = times["GTSAM", many] / times["ours", many]
     fewest = times["GTSAM", many] / times["ours", few]
@@ -77,7 +77,7 @@ def ratios(far, times, each):
 
 
 def draw(path, tables, far, times):
-    """Two panels: RMSE of every method, and distance of confidence from its limit against time."""
+    """Draw two panels: RMSE of every method, and error of confidence against time."""
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     names = list(tables["steel rod"])[::-1]

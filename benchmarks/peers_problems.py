@@ -1,4 +1,4 @@
-"""The problems on which estimators of static shapes are compared."""
+"""Problems on which estimators of static shapes are compared."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,10 +16,11 @@ READ = [3, 6, 9, 12]  # stations of the steel rod that are read, its tip the las
 
 @dataclass(frozen=True)
 class Problem:
-    """Shapes to estimate: poses read, and true positions to predict, each row of a shape.
+    """Shapes to estimate: poses read and true positions to predict, with a shape index per row.
 
-    `base_std` says how firmly every shape stands on `base_pose`; 0 where the base is read.
-    `stations` hold all places read and asked, the base too; `true_std` is the truth's own error.
+    `base_std` is the standard deviation of every shape's base about `base_pose`, 0 if the base is
+    read instead. `stations` are all arclengths read or queried, and the base; `true_std` is the
+    standard deviation of the truth's errors.
     """
 
     name: str
@@ -37,11 +38,11 @@ class Problem:
 
     @property
     def nodes(self):
-        """The base and what is read: all the nodes that exact transitions need."""
+        """Arclengths of the base and the readings: sufficient nodes, as transitions are exact."""
         return np.union1d(0.0, self.reading_arclength.round(9))
 
     def first(self, count):
-        """The problem of its first shapes alone."""
+        """Problem with the first `count` shapes only."""
         rows = {"reading": self.reading_shape < count, "query": self.query_shape < count}
         parts = {}
         for name, values in vars(self).items():
@@ -52,7 +53,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Strain density, variance of the base's strain, and std of a reading, (6,) each."""
+    """Density of strain, variance of the base's strain, and std of a reading, (6,) each."""
 
     psd: np.ndarray
     base_strain: np.ndarray
@@ -60,7 +61,7 @@ class Numbers:
 
     @staticmethod
     def of(logs):
-        """From decimal logarithms (8,): [linear, bending, torsion] twice, then noise."""
+        """Numbers of decimal logarithms (8,): [linear, bending, torsion] twice, then noise."""
         spread = np.power(10.0, logs)
         six = [0, 0, 0, 1, 1, 2]
         return Numbers(spread[:3][six], spread[3:6][six], spread[6:][[0, 0, 0, 1, 1, 1]])
@@ -70,7 +71,7 @@ ROD_NOISE = np.log10([0.7e-3, np.radians(0.4)])
 
 
 def steel_rods(numbers):
-    """The numbered shapes of the steel rod, four poses read with noise of each shape's own seed."""
+    """Problem of numbered shapes of the steel rod, with four noisy poses each, seeded by number."""
     poses, s = shapes.load_shapes(), shapes.STATIONS
     asked = np.setdiff1d(np.arange(1, s.size), READ)
     read = []
@@ -96,7 +97,7 @@ def steel_rods(numbers):
 
 
 def recorded(name, window, step):
-    """Moments of a public recording: base and tip as the tracker saw them nearest to that time."""
+    """Problem of single times of a public recording: tracker readings nearest to each time."""
     recording = load_recording(SPACETIME / name)
     robot = load_robot("tdcr466")
     sites = ["vicon1", "vicon2", "vicon3"]

@@ -1,4 +1,4 @@
-"""Write into docs/planning.md what planning costs, and what it does to a loop that is running.
+"""Write into docs/planning.md the cost of planning, and its effect on a running loop.
 
 Usage: plan.py [RUNS [SECONDS]], SECONDS of each loop in each of RUNS rounds.
 """
@@ -50,18 +50,18 @@ SEPARABLE = replace(
     ),
 )
 ROBOTS = {"separable": SEPARABLE, "kinematic": KINEMATIC}
-TICK, LEAD = 0.1, 0.5  # s between updates of the loop, and that a plan begins ahead
+TICK, LEAD = 0.1, 0.5  # s: period of the loop, and lead time of a plan
 
 
 def clocked(work):
-    """Milliseconds of processor time, and what came of it."""
+    """Milliseconds of processor time of a call, and its result."""
     begin = time.process_time()
     out = work()
     return 1e3 * (time.process_time() - begin), out
 
 
 def costs(robot, stage):
-    """Milliseconds: problem, plan, both, one value, one gradient; and the number of modes."""
+    """Milliseconds of problem, plan, both, one value, one gradient; and the number of modes."""
     reach = LENGTH - stage.stroke, LENGTH
     predicting, problem = clocked(lambda: predict_information(robot, reach, HORIZON))
     preparing, path_objective = clocked(lambda: path_objective_of(problem, ZONES, Trace()))
@@ -74,7 +74,7 @@ def costs(robot, stage):
 
 
 def error(robot, stage):
-    """Per cent by which the modes' standard deviations miss those at full size: RMS, most."""
+    """RMS and largest error (%) of the standard deviations by modes against those at full size."""
     problem = predict_information(robot, (LENGTH - stage.stroke, LENGTH), HORIZON)
     path_space, misses = path_space_of(stage, LENGTH, LENGTH, HORIZON), []
     for zones in TASKS:
@@ -88,7 +88,7 @@ def error(robot, stage):
 
 
 def cost_lines(runs):
-    """A row a prior and a stage."""
+    """Lines of the table of costs, with a row per prior and stage."""
     bench, rows = load_bench(robot_file("sliding700")), []
     for name, robot in ROBOTS.items():
         for stage in (bench.slide, bench.full_slide):
@@ -110,7 +110,10 @@ def cost_lines(runs):
 
 
 def loop(robot, stage, seconds, planner=None, lead=0.0):
-    """Milliseconds (updates, 3) of updates by the clock, in the thread, and of `next` alone."""
+    """Milliseconds (updates, 3) of updates by wall clock and thread time, and of `next` alone.
+
+    Also returns the number of plans.
+    """
     path_space = path_space_of(stage, LENGTH, LENGTH, 0.5 * HORIZON)
     options = {} if planner is None else {"planner": planner}
     sensor = sliding_sensor(robot)
@@ -138,9 +141,9 @@ def loop(robot, stage, seconds, planner=None, lead=0.0):
 
 
 def loop_lines(rounds, seconds):
-    """Three loops in turn: without plans, with plans computed by a process, and inline."""
+    """Lines of the table of loops: without plans, with plans by a process, and inline."""
     stage, rows = load_bench(robot_file("sliding700")).full_slide, []
-    warnings.simplefilter("ignore", PlanWarning)  # here, each plan is late
+    warnings.simplefilter("ignore", PlanWarning)  # every plan is late here
     for name, robot in ROBOTS.items():
         runs_of = {"none": [], "by a process": [], "inline": []}
         with ProcessPlanner() as planner:
@@ -148,7 +151,7 @@ def loop_lines(rounds, seconds):
                 runs_of["none"].append(loop(robot, stage, seconds))
                 runs_of["by a process"].append(loop(robot, stage, seconds, planner, LEAD))
                 if planner.ready(10.0):
-                    planner.result()  # that the last loop did not wait for
+                    planner.result()  # discard the plan that the last loop did not use
                 runs_of["inline"].append(loop(robot, stage, 0.25 * seconds, lead=LEAD))
         alone = [times for times, _ in runs_of["none"]]
         alone = np.quantile(np.concatenate(alone), [0.5, 0.99], axis=0)
@@ -175,7 +178,7 @@ def loop_lines(rounds, seconds):
 
 
 def main(runs=5, seconds=20.0):
-    """Both tables."""
+    """Write both tables."""
     write("costs", cost_lines(int(runs)))
     write("loop", loop_lines(2, seconds))
 

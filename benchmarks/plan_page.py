@@ -1,4 +1,4 @@
-"""Write a part of a page: what stands between <!-- NAME --> and <!-- /NAME -->."""
+"""Write a part of a page: the text between <!-- NAME --> and <!-- /NAME -->."""
 
 import re
 from pathlib import Path
@@ -7,18 +7,18 @@ PAGE = Path(__file__).parents[1] / "docs" / "planning.md"
 
 
 def table(heads, rows):
-    """Lines of a table."""
+    """Lines of a Markdown table."""
     lines = [heads, ["---"] * len(heads), *rows]
     return ["| " + " | ".join(str(cell) for cell in line) + " |" for line in lines]
 
 
 def number(value):
-    """Three digits or so."""
+    """Number as text with about three digits."""
     return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2g}"
 
 
 def write(name, lines, page=PAGE):
-    """Put lines in place of the part of that name."""
+    """Replace the part of a page with a name by lines."""
     text = page.read_text(encoding="utf-8")
     part = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
     if not part.search(text):

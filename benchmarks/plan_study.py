@@ -1,11 +1,11 @@
-"""Write into docs/planning.md what a plan is worth, on physics that the planner never saw.
+"""Write into docs/planning.md the gain of planned paths, on physics unknown to the planner.
 
-The paper's 0.70 m robot holds a C, an S, or moves from one to the other in 20 s. What matters is
-its position from 0.50 to 0.60 m. The path is planned with the nominal shape; then 5 robots, each
-with a set of its own that no model knows, are simulated with 10 draws of all sensors' faults each,
-and estimated. "everywhere" is predicted for a sensor at every place of the stroke at once: no path
-can do better. The last three columns are against oscillating: the mean variance that is predicted,
-that which the estimator claims, and the squared errors against the true motion.
+The paper's 0.70 m robot holds a C, an S, or moves from one to the other in 20 s. The task is its
+position from 0.50 to 0.60 m. The path is planned with the nominal shape; then 5 robots, each with
+its own permanent set that is in no model, are simulated with 10 draws of all sensors' errors each,
+and estimated. "everywhere" is predicted for sensors at all places of the stroke at once, as a bound
+for every path. The last three columns are relative to oscillating: mean predicted variance, mean
+variance of the estimates, and mean squared error against the true motion.
 Usage: plan_study.py [ROBOTS [DRAWS]]
 """
 
@@ -39,7 +39,7 @@ from glissando.simulation import SlidePath, load_bench, simulate_session
 from plan_page import table, write
 
 LASTS, ZONE = 20.0, Zone((0.5, 0.6))
-ROBOT = replace(  # Hz, what the planner looks ahead with; of the coil nothing is estimated
+ROBOT = replace(  # time rate (Hz) of the planner; no parameters of the coil are estimated
     load_robot("sliding700"), time_rate=2.0, sensor_parameters=()
 )
 BENCH = load_bench(robot_file("sliding700"))
@@ -49,13 +49,13 @@ SHAPES = ("C", "S", "C-to-S")
 
 
 def moved(shape, robot):
-    """The motion of a robot with the set of that number; of the nominal one, without, for None."""
+    """Motion of the robot with a number, which draws its set; nominal, without set, if None."""
     flaws = BENCH.flaws.without("set") if robot is None else BENCH.flaws
     return BENCH.move(BENCH.shape(shape).lasting(LASTS), flaws, robot or 0)
 
 
 def expected(motion):
-    """The nominal motion as the planner takes it."""
+    """Nominal motion in the form that the planner expects."""
 
     def shape(arclength, time):
         at = motion.at(arclength, time)
@@ -65,7 +65,7 @@ def expected(motion):
 
 
 def paths_of(problem, stage):
-    """The slide's paths by name, and the arclengths of each at the problem's times."""
+    """Paths of the slide by name, with the coil's arclengths at the problem's times."""
     path_space = path_space_of(stage, TIP, TIP, LASTS)
     plan = plan_slide(path_objective_of(problem, [ZONE], Trace()), path_space, [ZONE])
     cycles = int(np.ceil(LASTS / (2.0 * stage.stroke / stage.speed)))
@@ -79,7 +79,7 @@ def paths_of(problem, stage):
 
 
 def simulated(motion, slide, seed, start):
-    """Claimed variance, squared error and share inside 95 % of the zone; and the state."""
+    """Mean posterior variance, squared error and coverage in the zone; and the state."""
     recorded = simulate_session(BENCH, motion, slide, seed=seed, duration=LASTS)
     rows = recorded.coil
     coil = CoilReadings(
@@ -96,7 +96,7 @@ def simulated(motion, slide, seed, start):
 
 
 def study(shape, stage, robots, draws):
-    """By path: predicted σ (m), and claimed variance, squared error, coverage of each run."""
+    """Predicted σ (m) by path; posterior variance, squared error and coverage of each run."""
     motion = expected(moved(shape, None))
     reach = TIP - stage.stroke, TIP
     problem = predict_information(
@@ -116,7 +116,7 @@ def study(shape, stage, robots, draws):
 
 
 def row_of(label, shape, name, std, predicted, runs):
-    """Cells of a path's row, and the three changes against oscillating."""
+    """Cells of a path's row, and its three changes relative to oscillating (%)."""
     row, blind = [label, shape, name, f"{1e3 * std:.2f}"], runs["oscillating"].mean(axis=0)
     claimed = square = np.nan
     if name in runs:
@@ -130,13 +130,13 @@ def row_of(label, shape, name, std, predicted, runs):
 
 
 def between(numbers):
-    """The least and the largest of some changes for the better, in words."""
+    """Range of reductions (the negative of changes), as text."""
     least, most = sorted(-np.array(numbers))[:: len(numbers) - 1]
     return f"{least:.0f} to {most:.0f} %" if round(least) != round(most) else f"{least:.0f} %"
 
 
 def main(robots=5, draws=10):
-    """Write the table of every shape, stage and path, and what it says of plans."""
+    """Write the table of every shape, stage and path, and its summary."""
     warnings.simplefilter("ignore", NotConvergedWarning)
     rows, sentences, off = [], [], []
     for label, stage in STAGES.items():

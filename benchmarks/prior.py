@@ -1,7 +1,7 @@
-"""What the prior of sliding700 was chosen by: true confidence on shapes that no result is about.
+"""Choice of the prior of sliding700 by its NEES on shapes that are used for no result.
 
-Strain may vary along the body by more or less; mean NEES per degree of freedom and coverage over
-the still shapes of TUNED_ON, a sensor fixed, oscillating and fast over the whole length.
+The density of strain along the body is varied; the table has mean NEES per degree of freedom and
+coverage over the still shapes of TUNED_ON, with a fixed, an oscillating and a traversing sensor.
 Usage: prior.py [SEEDS]
 """
 
@@ -40,7 +40,7 @@ def judged(shape, arm, seed):
 
 
 def main(seeds=3):
-    """Print a row a factor: means over shapes and seeds, and RMSE of the fixed sensor."""
+    """Print a row per factor: means over shapes and seeds, and RMSE of the fixed sensor."""
     still = [shape for shape, tensions in TUNED_ON.items() if len(tensions) == 1]
     found = np.array(
         [

@@ -1,7 +1,7 @@
-"""The real robot: learned on one recording, judged on others, with the two commands of the page.
+"""The real robot: learned on one recording, evaluated on others, with the page's two commands.
 
-`--learn FILE` learns the robot file first, which takes a minute or two; `--learned FILE` judges one
-that is there. Usage: real.py [--data FOLDER of public recordings] [--learn FILE | --learned FILE]
+`--learn FILE` learns the robot file first, in a minute or two; `--learned FILE` evaluates an
+existing one. Usage: real.py [--data FOLDER of public recordings] [--learn FILE | --learned FILE]
 [--recording FOLDER [--window T0 T1]] [--json]
 """
 
@@ -77,7 +77,7 @@ inside 95 % | NEES |
 
 
 def estimated(robot, folder, window, truth=None):
-    """One run on a window, from the sensors of the page as far as the recording has them."""
+    """Estimate a window from those sensors of the page that the recording has."""
     recording = load_recording(folder)
     use = [name for name in SENSORS if name in recording.streams]
     say(f"{recording.name}, {'all of it' if window is None else '{:g} to {:g} s'.format(*window)}")
@@ -85,7 +85,7 @@ def estimated(robot, folder, window, truth=None):
 
 
 def judged(robot, folder, window):
-    """One run on a window: position and rotation RMSE, coverage, NEES of all sites together."""
+    """Position and rotation RMSE, coverage and NEES over all sites in a window."""
     found = estimated(robot, folder, window)
     if not found.errors:
         raise GlissandoError(f"{folder} has no truth to judge by: mark its streams as truth.")
@@ -104,7 +104,7 @@ def judged(robot, folder, window):
 
 
 def line(found, position="–", rotation="–"):
-    """A line of the table, beside what the reference implementation reached."""
+    """Line of the table, with the errors of the reference implementation."""
     return (
         "| {:g}–{:g} | ".format(*found["window"]) + f"{found['position']:.2f} | {position} | "
         f"{found['rotation']:.2f} | {rotation} | {found['half']:.0f} % | {found['most']:.0f} % | "
@@ -113,7 +113,7 @@ def line(found, position="–", rotation="–"):
 
 
 def acceleration(robot, name, window, data):
-    """Root mean square of the tip's acceleration as estimated, m/s²."""
+    """Root mean square of the tip's estimated acceleration, m/s²."""
     posterior = estimated(robot, data / name, window, truth=[]).posterior
     time = posterior.grid.time
     tip = posterior.at(np.full(time.size, robot.length), time)
@@ -122,12 +122,12 @@ def acceleration(robot, name, window, data):
 
 
 def judged_windows(robot, data):
-    """What is found in the windows that are reported."""
+    """Results in the reported windows."""
     return [judged(robot, data / name, window) for name, window, *_ in REPORTED_ON]
 
 
 def page(data, robot):
-    """The section of the page: commands and tables."""
+    """Section of the page: commands and tables."""
     found = zip(judged_windows(robot, data), REPORTED_ON, strict=True)
     rows = [line(each, *published[2:]) for each, published in found]
     tuned = judged(robot, data / TUNED_ON[0], (19.0, 29.0))
@@ -156,7 +156,7 @@ def page(data, robot):
 
 
 def learn(data, out):
-    """Learn the robot file by the command of the page."""
+    """Learn the robot file with the page's command."""
     begin = Path(__file__).with_name("real.toml")
     where = {"tuned": data / TUNED_ON[0], "begin": begin, "out": out}
     words = LEARN.format(**{name: shlex.quote(str(path)) for name, path in where.items()})

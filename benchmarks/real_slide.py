@@ -1,17 +1,17 @@
-"""A sliding coil emulated on real motion: is it worth sliding, and how fast.
+"""Gain of a sliding coil, emulated on motion of a real robot, by period of the slide.
 
-Nobody recorded a sliding sensor. Motion-capture bodies sit on the real robot, in the public
-recordings five: the one nearest to a virtual place s*(t) is read as a coil (its roll made random),
-the others then are truth. Nothing else is read; the prior holds the base. Arms are a coil fixed at
-the tip, one that swings over the last quarter, and one that traverses the robot but its base, s* a
-cosine of some period. The bodies are the recording's streams of poses that are marked as truth.
-A body sits on the robot with an unknown, constant offset, which every reading of it repeats: each
-body read is a stream with a mount of its own, and truth is as uncertain. A hundred readings at one
-place are worth one place.
-All arms are compared on the same truth: samples of bodies that no arm of the period reads then.
-That leaves out the tip, which the fixed coil always reads, and body 3 while the swinging coil reads
-it, which is while the traversing one is far from it: it flatters the traverse. Each against the
-fixed coil where neither reads is fairer, and own truth tells what sliding away from the tip costs.
+There is no recording of a sliding sensor. The real robot carries motion-capture bodies, five in the
+public recordings: the one nearest to a virtual place s*(t) is read as a coil with random roll, and
+the others are truth. There are no other readings; the prior fixes the base. Arms are a coil fixed
+at the tip, one that oscillates over the last quarter, and one that traverses the robot except its
+base, with s* a cosine in time. Bodies are the recording's pose streams that are marked as truth.
+A body has an unknown constant offset on the robot, common to all its readings: each body read is a
+stream with its own mount, and truth has the same uncertainty. So many readings at one place inform
+no more than that place.
+All arms are compared on common truth: samples of bodies that no arm of the period reads then. These
+exclude the tip, which the fixed coil always reads, and body 3 while the swinging coil reads it,
+when the traversing coil is far from it: this favours the traverse. The comparison of each arm with
+the fixed coil where neither reads is fairer, and own truth shows the cost of leaving the tip.
 Usage: real_slide.py [FOLDER of public recordings] [--recording FOLDER] [--window T0 T1]
 [--robot FILE] [--periods S …] [--json]
 """
@@ -45,10 +45,10 @@ from script import run, say
 
 DATA = Path("../shared/data/spacetime")
 WINDOWS = [("slow_free_space", (19.0, 45.0)), ("fast_contact", (10.0, 30.0))]
-STD = np.repeat([1e-3, np.radians(1.0)], 3)  # m, rad: motion capture, from one frame to the next
-MOUNT_STD = np.repeat([1.5e-3, np.radians(1.0)], 3)  # m, rad: where a body sits on the robot
+STD = np.repeat([1e-3, np.radians(1.0)], 3)  # m, rad: white noise of motion capture
+MOUNT_STD = np.repeat([1.5e-3, np.radians(1.0)], 3)  # m, rad: a body's mount on the robot
 SWINGS = {"fixed": (1.0, 1.0), "oscillating": (0.75, 1.0), "traverse": (0.25, 1.0)}  # of length
-BASE = 0.05  # of the length: a body nearer than this to the base is held by the prior
+BASE = 0.05  # of the length: bodies nearer than this to the base are fixed by the prior
 PERIODS = (0.5, 1.0, 2.0, 4.0)
 BLOCK = 2.0  # seconds of one block of the bootstrap
 DRAWS = 2000
@@ -57,9 +57,9 @@ SEED = 7
 
 @dataclass(frozen=True)
 class Bodies:
-    """Motion capture in a window, put right: a stream a body, and its rows by common time.
+    """Corrected motion capture in a window: a stream per body, and rows by common time.
 
-    `row` (B, K) is the row of a body at each of the times (K,), −1 where it was not seen.
+    `row` (B, K) is the row of a body at each of the times (K,), −1 where it has no sample.
     """
 
     streams: list
@@ -68,12 +68,12 @@ class Bodies:
 
     @property
     def arclength(self):
-        """Where the bodies sit (B,), metres."""
+        """Arclengths of the bodies (B,), m."""
         return np.array([s.arclength[0] for s in self.streams])
 
 
 def load_bodies(recording, robot, window):
-    """The bodies from the base on, frames and mounts put right, their noise as stated here."""
+    """Bodies in the order of arclength, with frames and mounts corrected and the noise set here."""
     names = [n for n, s in recording.streams.items() if s.truth and s.rows.kind == "pose"]
     found, _ = recording.readings(names, robot, window, as_truth=True)
     found = sorted((r for r in found if len(r)), key=lambda r: float(np.mean(r.arclength)))
@@ -98,7 +98,7 @@ def load_bodies(recording, robot, window):
 
 
 def nearest(bodies, swing, period):
-    """The body (K,) nearest to s*(t), in metres; −1 where it was not seen."""
+    """Index (K,) of the body nearest to s*(t), for limits `swing` in m; −1 without a sample."""
     low, high = swing
     place = low + (high - low) * 0.5 * (1.0 + np.cos(2.0 * np.pi * bodies.time / period))
     body = np.argmin(np.abs(bodies.arclength[:, None] - place), axis=0)
@@ -107,7 +107,7 @@ def nearest(bodies, swing, period):
 
 
 def coils(bodies, read, rng):
-    """Readings of the bodies `read` (K,) as a coil whose roll says nothing, a stream a body."""
+    """Readings of the bodies `read` (K,) as coils with random roll, a stream per body."""
     streams = []
     for body, stream in enumerate(bodies.streams):
         kept = np.flatnonzero(read == body)
@@ -122,14 +122,14 @@ def coils(bodies, read, rng):
 
 
 def mounts(readings):
-    """The unknown constant offset of each body that is read; that of its roll does not show."""
+    """Unknown mount of each body that is read, with roll fixed, as it is unobservable."""
     zero, std = np.zeros(6), MOUNT_STD * [1, 1, 1, 1, 1, 0]
     return [SensorParameter(f"mount of {r.name}", "mount", (r.name,), zero, std) for r in readings]
 
 
 @dataclass(frozen=True)
 class Arm:
-    """A trial: which body was read when, errors at every sample of every body, and the solve."""
+    """Trial of an arm: body read at each time, errors at all samples of all bodies, the solve."""
 
     read: np.ndarray
     errors: list
@@ -137,7 +137,7 @@ class Arm:
 
 
 def trial(bodies, robot, window, swing, period):
-    """Estimate from the emulated coil, judge at all samples of all bodies."""
+    """Estimate from the emulated coil, with errors at all samples of all bodies."""
     read = nearest(bodies, swing, period)
     readings = coils(bodies, read, np.random.default_rng(SEED))
     with warnings.catch_warnings():
@@ -149,7 +149,7 @@ def trial(bodies, robot, window, swing, period):
 
 
 def unread(bodies, arms):
-    """Samples (B, K) seen but read by none of these arms, but the base, which the prior holds."""
+    """Mask (B, K) of samples that no arm reads, without the base, which the prior fixes."""
     truth = bodies.row >= 0
     truth[bodies.arclength < BASE * bodies.arclength.max()] = False
     for arm in arms:
@@ -158,7 +158,7 @@ def unread(bodies, arms):
 
 
 def chosen(bodies, arm, truth):
-    """Errors at the samples `truth` (B, K), and the time of each."""
+    """Errors at the samples of the mask `truth` (B, K), and their times."""
     kept, times = [], []
     for body, errors in enumerate(arm.errors):
         rows = bodies.row[body, truth[body]]
@@ -169,9 +169,9 @@ def chosen(bodies, arm, truth):
 
 
 def relative_change(time, errors, against, rng):
-    """RMSE over another's less one, and its 95 % interval from blocks of time drawn anew.
+    """Relative change of the RMSE against another, and its 95 % interval by block bootstrap.
 
-    Fewer than two blocks have no interval.
+    The interval is None for fewer than two blocks.
     """
     moments = np.unique(time)
     at = np.searchsorted(moments, time)
@@ -189,7 +189,7 @@ def relative_change(time, errors, against, rng):
 
 
 def rows(bodies, robot, window, periods):
-    """Yield a dictionary an arm, period and kind of truth: the same for all arms, or its own."""
+    """Yield a dictionary per arm, period and kind of truth: common to all arms, or its own."""
 
     def estimated(arm, period):
         say(f"{arm}, a period of {period:g} s")
@@ -212,7 +212,7 @@ def rows(bodies, robot, window, periods):
 
 
 def against_fixed(bodies, arms, arm, truth):
-    """An arm's RMSE over that of the fixed coil less one with its interval, where neither reads."""
+    """Relative change of an arm's RMSE against the fixed coil, where neither reads."""
     if arm == "fixed":
         return None
     truth = truth & unread(bodies, [arms["fixed"]])
@@ -221,7 +221,7 @@ def against_fixed(bodies, arms, arm, truth):
 
 
 def summary(errors):
-    """What is said of pooled errors: metres, radians, shares."""
+    """Summary of pooled errors: RMSE (m, rad), coverage and NEES."""
     told = errors.summary()
     return {
         "samples": int(errors.position.size),
@@ -240,7 +240,7 @@ NEES position | NEES rotation | against fixed, 95 % interval | solve |
 
 
 def line(row):
-    """A row of the table."""
+    """Row of the table."""
     change = row["against_fixed"]
     if change:
         percent = [f"{100 * c:+.0f}" for c in change if c is not None]

@@ -1,11 +1,11 @@
-"""Time glissando beside the published C++ implementation, by turns, in processor seconds.
+"""Processor time of glissando against the published C++ implementation, run in turns.
 
     python benchmarks/reference.py BUILT [--data FOLDER] [--rounds 5] [--only NAME …] [--json FILE]
 
 BUILT is a folder with the programs stc_batch, stc_window and stc_filter and their settings under
 source/stc/assets/config; each prints JSON of its runs. FOLDER holds the public recordings. Every
-round runs both programs in fresh processes on one thread, the one that goes first changing by
-rounds; ratios are of the two runs of a round. What numba compiles is compiled before.
+round runs both programs in new processes on one thread, in alternating order; ratios are of the two
+runs of a round. numba's kernels are compiled before.
 """
 
 import argparse
@@ -40,7 +40,7 @@ WARM = 2  # estimates in a process after the first
 
 
 def answer(command):
-    """The JSON that a program prints last."""
+    """Parsed JSON of the last line that a program prints."""
     done = subprocess.run(
         list(map(str, command)),
         env={**os.environ, **THREADS},
@@ -55,7 +55,7 @@ def answer(command):
 
 
 def theirs(options, name):
-    """Seconds of the runs of an estimate, or of the updates, of the C++ program."""
+    """Seconds of each batch estimate, or of each update, of the C++ program."""
     program, robot, _, recording, _, nodes = TASKS[name]
     settings = options.built / "source/stc/assets/config"
     command = [
@@ -70,12 +70,12 @@ def theirs(options, name):
 
 
 def ours(options, name):
-    """The same of glissando, in a process of its own."""
+    """Seconds of each batch estimate, or of each update, of glissando in its own process."""
     return answer([sys.executable, Path(__file__).resolve(), "--worker", name, options.data])
 
 
 def worker(name, data):
-    """Seconds of the runs of an estimate, or of the updates, in this process."""
+    """Seconds of each batch estimate, or of each update, of glissando in this process."""
     _, _, robot, recording, window, nodes = TASKS[name]
     recording, robot = load_recording(Path(data) / recording), load_robot(robot)
     if nodes is None:
@@ -83,7 +83,7 @@ def worker(name, data):
         for _ in range(1 + WARM):
             run = run_estimate(recording, robot, window=window, use=None, truth=None)
             took.append(run.posterior.solve.seconds["total"])
-            del run  # its memory is the next one's
+            del run  # frees its memory for the next run
         return took
     readings, _, _ = chosen_streams(recording, robot, window, None, None)
     smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=nodes)
@@ -100,7 +100,7 @@ def worker(name, data):
 
 
 def told(name, seconds):
-    """What is said of a run: the first estimate and later ones, or updates."""
+    """Reported times of a run: of the first and later estimates, or of updates."""
     if TASKS[name][-1] is None:
         return {"first, s": seconds[0], "warm, s": float(np.median(seconds[1:]))}
     median, p99 = 1e3 * np.percentile(seconds, [50, 99])
@@ -108,7 +108,7 @@ def told(name, seconds):
 
 
 def table(found):
-    """Least, median and largest of all rounds, in Markdown."""
+    """Least, median and largest time of all rounds, as a Markdown table."""
     three = "{:.3g} / {:.3g} / {:.3g}".format
     yield from ["| processor time | C++ | glissando | times as fast |", "|---|---|---|---|"]
     for name, rounds in found.items():

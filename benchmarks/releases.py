@@ -1,8 +1,8 @@
-"""Our moving rods against tip releases that another group's Cosserat solver, SoroSim, computed.
+"""Simulated motion of rods against tip releases by another group's Cosserat solver, SoroSim.
 
-A file's first line has the material's damping (a Kelvin–Voigt retardation time, s: stiffness times
-it resists the rate of strain) and, in its last three columns, gravity; its second line has moment
-and force that hold the middle and the tip until time 0; then each line has a time and the poses of
+A file's first line has the material's damping (a Kelvin–Voigt retardation time, s: damping is
+stiffness times retardation) and, in its last three columns, gravity; its second line has moment and
+force that hold the middle and the tip until time 0; then each line has a time and the poses of
 middle and tip as Euler angles X-Y-Z and position. Their tangent is body x, and the base is clamped
 along world x. Nothing is fitted to a file.
 
@@ -33,11 +33,10 @@ TIMOSHENKO = np.array([1.8751040687, 4.6940911330])  # cos x cosh x = −1
 
 
 class Release(NamedTuple):
-    """A file: damping (s), gravity (3,), times (K,), positions (2, K, 3) of middle and tip.
+    """Content of a file: damping (s), gravity, times (K,), positions of middle and tip (2, K, 3).
 
-    `turn` (2, K, 3) are their Euler angles X-Y-Z, rad.
-
-    `holding` (2, 6) are moment and force that hold middle and tip until time 0.
+    `turn` (2, K, 3) are their Euler angles X-Y-Z, rad; `holding` (2, 6) are moment and force that
+    hold middle and tip until time 0.
     """
 
     damping: float
@@ -49,7 +48,7 @@ class Release(NamedTuple):
 
 
 def read_release(path: Path) -> Release:
-    """The release of a file; raises GlissandoError if it is not one."""
+    """Read the release of a file; raises GlissandoError if the file has another form."""
     try:
         lines = [line.replace(",", " ").split() for line in path.read_text().splitlines()]
         table = np.array([[float(x) for x in line] for line in lines if line])
@@ -64,7 +63,7 @@ def read_release(path: Path) -> Release:
 
 
 def simulate(release: Release, rod: Rod, duration: float) -> DynamicMotion:
-    """The motion of the rod after it is let go."""
+    """Simulate the rod after its release."""
     held = [
         TimedWrench(Wrench(s, wrench[3:], wrench[:3]), stop=0.0)
         for s, wrench in zip((0.5 * rod.length, rod.length), release.holding, strict=True)
@@ -74,7 +73,7 @@ def simulate(release: Release, rod: Rod, duration: float) -> DynamicMotion:
 
 
 def rod_of(release: Release, options: argparse.Namespace) -> Rod:
-    """The rod that the options and a file's damping describe."""
+    """Rod with the material of the options and a file's damping."""
     base = np.eye(4)
     base[:3, :3] = AXES
     return Rod.of_tubes(
@@ -89,10 +88,10 @@ def rod_of(release: Release, options: argparse.Namespace) -> Rod:
 
 
 def main_frequency(motion: np.ndarray, rate: float) -> float:
-    """The frequency (Hz) of the strongest oscillation of a decaying motion (K, 3).
+    """Frequency (Hz) of the strongest oscillation of a decaying motion (K, 3).
 
-    The spectrum of the direction that moves most, with a Hann window and eightfold zeros, has its
-    peak refined by a parabola.
+    The peak of the spectrum in the principal direction, with a Hann window and eightfold zero
+    padding, is refined by a parabola.
     """
     x = motion - motion.mean(axis=0)
     x = x @ np.linalg.svd(x, full_matrices=False)[2][0]
@@ -103,15 +102,15 @@ def main_frequency(motion: np.ndarray, rate: float) -> float:
 
 
 def modes(rod: Rod) -> np.ndarray:
-    """Frequencies (2,) of the first two bending modes of the clamped rod on two elements, Hz."""
+    """Frequencies (2,) of the clamped rod's first two bending modes, Hz, on two elements."""
     equations = RodEquations.of(rod, [], Mesh.through([0.0, rod.length], 0.5 * rod.length))
     instant = AppliedLoads(rod.base, np.zeros(3), np.zeros((0, 4)))
     at = equations.at(np.stack([equations.rest, *np.zeros((2, *equations.rest.shape))]), instant)
-    return natural_frequencies(equations, at, instant)[[0, 2]]  # each stands twice, x and y
+    return natural_frequencies(equations, at, instant)[[0, 2]]  # frequencies come in pairs, x and y
 
 
 def judge(path: Path, options: argparse.Namespace) -> dict[str, Any]:
-    """What a file says and what we say: shares of travel, frequencies, time taken."""
+    """Compare a file with the simulation: differences over travel, frequencies, and time taken."""
     release = read_release(path)
     rod = rod_of(release, options)
     first = release.time <= options.seconds + 1e-9
@@ -148,7 +147,7 @@ def judge(path: Path, options: argparse.Namespace) -> dict[str, Any]:
 
 
 def draw(path: Path, options: argparse.Namespace) -> None:
-    """Draw the tip of a release over time, ours and the file's, and the difference."""
+    """Draw the simulated and the file's tip of a release over time, and their difference."""
     import matplotlib.pyplot as plt
 
     release = read_release(path)
@@ -170,7 +169,7 @@ def draw(path: Path, options: argparse.Namespace) -> None:
 
 
 def main() -> int:
-    """Print a row a file, and write them all as JSON if asked for."""
+    """Print a row per file, or all results as JSON."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

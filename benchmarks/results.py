@@ -1,4 +1,4 @@
-"""Write docs/results.md: every number in it is measured here and now.
+"""Write docs/results.md: every number of that page is measured here.
 
 Usage: results.py [--data FOLDER]   (FOLDER holds the public space-time recordings)
 """
@@ -31,8 +31,8 @@ from glissando.evaluation.run import run_estimate
 from glissando.geometry import se3
 from glissando.io.recording_folder import load_recording
 
-# Position RMSE (mm) that was published for the reference implementation, by site; its CPU seconds
-# for the batch (one thread of a 2.5 GHz Xeon core).
+# Published position RMSE (mm) of the reference implementation, by site, and its CPU seconds for the
+# batch (one thread of a 2.5 GHz Xeon core).
 PUBLISHED = [
     ("slow_free_space", (19.0, 29.0), [None, 7.5, 13.8, 12.1, 5.4], 3.5),
     ("fast_contact", (10.0, 20.0), [None, 8.6, 12.8, 9.0, 6.1], 3.4),
@@ -42,7 +42,7 @@ PUBLISHED = [
 
 
 def runs(data):
-    """Each published window estimated with everything at its default."""
+    """Yield an estimate of each published window with all defaults."""
     for name, window, published, seconds in PUBLISHED:
         recording = load_recording(data / name)
         run = run_estimate(recording, recording.robot, window=window, use=None, truth=None)
@@ -65,7 +65,7 @@ def accuracy(label, run, published, strict=True):
 
 
 def bent_rod_std(nodes):
-    """Position standard deviation (mm) at mid-length of a bent rod read once at its tip."""
+    """Standard deviation of position (mm) at mid-length of a bent rod read once at its tip."""
     strain = np.array([0, 0, 1, 2, 0, 0.0])
     base = BaseDensity(
         np.full(6, 1e-14), np.array([8e-6, 8e-6, 8e-6, 14, 14, 1e-8]), np.full(6, 1e-6)
@@ -83,7 +83,7 @@ def bent_rod_std(nodes):
 
 
 def static_std(rate, duration=2.0, firm=False):
-    """Lateral standard deviation (mm) at mid-length of a still robot seen at base and tip."""
+    """Lateral standard deviation (mm) at mid-length of a still robot read at base and tip."""
     robot = load_robot("tdcr466")
     prior = robot.prior
     if firm:
@@ -107,7 +107,7 @@ def static_std(rate, duration=2.0, firm=False):
 
 
 def grid_lines():
-    """Lines of the two grid tables."""
+    """Lines of the grid tables."""
     nodes = (5, 9, 17, 33, 65)
     bent = " | ".join(f"{bent_rod_std(n):.2f}" for n in nodes)
     still = " | ".join(f"{static_std(rate):.2f}" for rate in (15, 30, 60, 120))

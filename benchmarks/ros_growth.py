@@ -1,10 +1,10 @@
-"""Whether a live estimate in a ROS 2 graph grows while it runs for long.
+"""Growth of memory, files and threads of a live estimate in a ROS 2 graph over a long run.
 
     python benchmarks/ros_growth.py MINUTES [--rate 30] [--readings 40] [--domain 77] [--json FILE]
 
-`glissando live` takes two topics from a publisher, and publishes to a subscriber that leaves and
-joins again every ten seconds. Every minute a row states the resident memory of the command, its
-open files and threads, and the messages that the subscriber got. At the end: the growth per hour
+`glissando live` reads two topics of a publisher, and publishes to a subscriber that leaves and
+rejoins every ten seconds. Every minute a row has the resident memory of the command, its open files
+and threads, and the number of messages received. At the end, the growth per hour is computed
 between the first and the last third of the time after a warm-up of a fifth.
 """
 
@@ -28,8 +28,8 @@ from glissando.hardware.ros2.graph import Graph, Ros2Address, profile
 from glissando.io.robot_file import load_robot
 
 ROBOT = "tdcr466"
-JOINED = 10.0  # s that a subscriber stays
-_LOOK = 10.0  # s between looks at the command
+JOINED = 10.0  # s: time for which a subscriber stays
+_LOOK = 10.0  # s: sampling interval
 
 
 def publish(domain: int, rate: float) -> None:
@@ -51,7 +51,7 @@ def publish(domain: int, rate: float) -> None:
 
 
 def stamped(message, seconds: float, pose):
-    """A PoseStamped with a time and a pose."""
+    """Fill a PoseStamped with a time and a pose."""
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(round(1e9 * seconds), 10**9)
     place, turn = message.pose.position, message.pose.orientation
     place.x, place.y, place.z = pose[:3, 3].tolist()
@@ -60,7 +60,7 @@ def stamped(message, seconds: float, pose):
 
 
 def listen(domain: int, rate: float) -> None:
-    """Subscribe to all that is published, leave and join again; print how much came."""
+    """Subscribe to all published topics, leave and rejoin; print the number of messages."""
     count = 0
 
     def take(_message) -> None:
@@ -103,7 +103,7 @@ def state_of(pid: int) -> dict[str, float]:
 
 
 def measure(options, folder: Path) -> list[dict[str, float]]:
-    """What the command took, every ten seconds until its end."""
+    """Resources of the command, sampled every ten seconds until its end."""
     with ExitStack() as stack:
         got = stack.enter_context((folder / "got").open("w+"))
         for peer, out in (("publish", None), ("listen", got)):
@@ -129,7 +129,7 @@ def measure(options, folder: Path) -> list[dict[str, float]]:
 
 
 def command_of(options, folder: Path) -> list[str]:
-    """The command that is measured."""
+    """Command that is measured."""
     graph = f"ros2?domain={options.domain}"
     return [
         sys.executable, "-m", "glissando", "live", "--robot", ROBOT, "--source", graph,
@@ -139,7 +139,7 @@ def command_of(options, folder: Path) -> list[str]:
 
 
 def growth(rows: list[dict[str, float]]) -> float:
-    """Resident memory gained per hour, MB, between the thirds of the time after a fifth of it."""
+    """Growth of resident memory, MB/h, between first and last third after a warm-up of a fifth."""
     warm = [row for row in rows if row["s"] > 0.2 * rows[-1]["s"]]
     third = max(len(warm) // 3, 1)
     early, late = warm[:third], warm[-third:]
@@ -150,7 +150,7 @@ def growth(rows: list[dict[str, float]]) -> float:
 
 
 def main() -> None:
-    """Measure, or be a peer of what is measured."""
+    """Measure, or run as a peer of the measured command."""
     if sys.argv[1:2] == ["--peer"]:
         PEERS[sys.argv[2]](int(sys.argv[3]), float(sys.argv[4]))
         return

@@ -1,10 +1,10 @@
-"""Simulation-based calibration: is confidence true of sessions drawn from the prior itself.
+"""Simulation-based calibration: uniformity of ranks in sessions drawn from the prior itself.
 
 Draws sessions of `sbc.toml` (or another robot file), estimates each in batch and online, and checks
 that the ranks of the truth are uniform inside simultaneous 95 % bands; then again with priors whose
 standard deviations are 1.3 times too large and too small, which must fail.
-True ranks leave such bands in one of twenty runs by chance. So where ranks of the right prior do,
-three times as many other sessions are drawn: only what is outside in them, too, is a failure.
+Uniform ranks leave such bands in one of twenty runs by chance. If ranks of the right prior do,
+three times as many new sessions are drawn: only quantities outside in both runs are a failure.
 Usage: sbc.py [--robot FILE] [--sessions N] [--wrong N] [--seed N] [--json]   (some minutes)
 Status 1: the right prior fails, or a wrong one passes in batch and online.
 """
@@ -19,11 +19,11 @@ from script import run, say
 
 ROBOT = Path(__file__).with_name("sbc.toml")
 WRONG = (1.3, 1 / 1.3)  # times the prior's standard deviations
-MORE = 3  # times as many sessions, to see whether ranks outside their bands are so by chance
+MORE = 3  # ratio of sessions when ranks outside their bands are tested again
 
 
 def judged(robot, sessions, wrong, seed):
-    """A dictionary a prior and estimator: the right prior, again if in doubt, and wrong ones."""
+    """Yield a dictionary per prior and estimator: right prior, repeated if outside, wrong ones."""
     right = list(ranked(robot, sessions, 1.0, seed))
     yield from right
     if any(map(outside, right)):
@@ -33,7 +33,7 @@ def judged(robot, sessions, wrong, seed):
 
 
 def ranked(robot, count, factor, seed):
-    """A dictionary an estimator."""
+    """Yield a dictionary per estimator, for the prior's standard deviations times a factor."""
     say(f"{count} sessions with a prior times {factor:.2f}")
     for check in simulate_and_rank(robot, count, prior_factor=factor, seed=seed):
         yield {"prior_factor": factor, **check.as_json()}
@@ -45,7 +45,7 @@ def outside(found):
 
 
 def row(found):
-    """A line of the table."""
+    """Line of the table."""
     least = min(found["quantities"], key=lambda q: q["p_value"])
     count = len(outside(found))
     return (
@@ -56,8 +56,8 @@ def row(found):
 
 
 def as_it_must(checks):
-    """Whether the right prior passes with each estimator, and each wrong one fails with one."""
-    always = {}  # what is outside however often it was drawn
+    """Whether the right prior passes with each estimator, and each wrong one fails with some."""
+    always = {}  # quantities outside in every run
     for check in checks:
         names = always.setdefault(check["prior_factor"], {})
         names[check["estimator"]] = outside(check) & names.get(check["estimator"], outside(check))

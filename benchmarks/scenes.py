@@ -1,4 +1,4 @@
-"""Motions among obstacles in foreign physics: whether the stated risk is true, and worth it.
+"""Motions among obstacles with unmodelled physics: validity and cost of the stated risk.
 
     python benchmarks/scenes.py risk --robot arm.toml [--runs 100] [--scenes 5] [--delta 0.05]
         [--model-std 3e-4]
@@ -6,14 +6,14 @@
     python benchmarks/scenes.py speed --robot arm.toml
     python benchmarks/scenes.py sensing --runs 30 [--scenes 5] [--figure FILE.png]
 
-risk: motions are planned in random scenes and followed by robots drawn at random (see
-`scenes_world.py`), which read their coil and correct. Hits are given with their 95 % binomial
-interval, beside the largest risk that was allowed.
-margin: the same scenes with one margin for every place, and with a margin of equal risk in each.
-speed: what an evaluation with slopes and a replan from a warm start cost.
-sensing: slide and motion planned together, against a slide that stays, that oscillates, or that
-is planned after the motion, through slits that the body must take (see `scenes_sensing.py`).
-Numbers of seeds below TUNED were used to set the physics and the example's [tendons].
+risk: motions are planned in random scenes and followed by random robots (see `scenes_world.py`)
+with feedback from their coil. The table has hits with their 95 % binomial interval, and the largest
+risk allowed.
+margin: the same scenes with a fixed margin of clearance, and with the margin of equal risk in each.
+speed: processor time of an evaluation with gradient, and of a replan from a warm start.
+sensing: slide and motion planned jointly, against a slide that is fixed, that oscillates, or that
+is planned after the motion, through slits that the body must pass (see `scenes_sensing.py`).
+Seeds below TUNED were used to set the physics and the example's [tendons].
 """
 
 import argparse
@@ -46,16 +46,17 @@ from scenes_world import PAUSE, followed
 
 TUNED = 1000
 HORIZON, RADIUS, BALL, TOLERANCE = 6.0, 0.005, 0.010, 0.006
-NEAR = 0.4  # of a ball's and the robot's radius, that further balls are beside the way
-CLEAR = 4e-3  # m between a further ball and the robot where it starts
-MODEL_STD = 3e-4  # m: between 2e-4 and 4e-4, with both of which robots of seeds below TUNED pass
+NEAR = 0.4  # largest distance of further balls from contact, over ball plus robot radius
+CLEAR = 4e-3  # m: least distance of a further ball from the robot at the start
+MODEL_STD = 3e-4  # m: robots of seeds below TUNED pass with both 2e-4 and 4e-4
 TENDON = {"lower": -1e-3, "upper": 6e-3, "speed": 2.4e-3, "acceleration": 1.5e-3}
 
 
 def drawn_scene(robot, seed, delta, balls, model_std):
-    """A target, and balls beside the straight way to it.
+    """Scene with a target, and balls beside the direct motion to it.
 
-    The first is hit or grazed, at a random side; others are up to `NEAR` away from the way.
+    The direct motion hits or grazes the first ball, at a random side; the other balls are up to
+    `NEAR` radii beside it.
     """
     rng = np.random.default_rng([seed, 1])
     sensor = sliding_sensor(robot, rate=20.0)
@@ -86,7 +87,7 @@ def drawn_scene(robot, seed, delta, balls, model_std):
 
 
 def binding(robot, deltas, options, seed):
-    """Plans of a scene at all levels of risk; nothing unless the risk binds at each."""
+    """Plans of a scene at all levels of risk; None unless the bound is active at each level."""
     try:
         scenes = [drawn_scene(robot, seed, d, options.balls, options.model_std) for d in deltas]
         plans = [
@@ -104,7 +105,7 @@ def binding(robot, deltas, options, seed):
 
 
 def plans_of(pool, robot, deltas, options):
-    """Seeds, and plans (scenes, deltas), of the first random scenes in which the risk binds."""
+    """Seeds and plans by level, of the first random scenes whose bounds on risk are active."""
     found, seed = [], options.first
     while len(found) < options.scenes and seed < options.first + 10 * options.scenes:
         seeds = range(seed, seed + options.processes)
@@ -115,20 +116,20 @@ def plans_of(pool, robot, deltas, options):
 
 
 def interval(hits, runs):
-    """Clopper and Pearson's 95 % interval of a share."""
+    """Clopper–Pearson 95 % interval of a share."""
     low = beta.ppf(0.025, hits, runs - hits + 1) if hits else 0.0
     high = beta.ppf(0.975, hits + 1, runs - hits) if hits < runs else 1.0
     return float(low), float(high)
 
 
 def runs_of(task):
-    """Least clearance and miss, m, of each robot of a task: robot, plan, seeds."""
+    """Least clearance and miss (m) of each robot of a task (robot, plan, seeds)."""
     robot, plan, seeds = task
     return [followed(plan, robot, seed) for seed in seeds]
 
 
 def risk(pool, robot, options):
-    """Hits a level, over random scenes and robots."""
+    """Rows of hits by level of risk, over random scenes and robots."""
     deltas = options.delta or [0.01, 0.05, 0.1]
     found, rows = plans_of(pool, robot, deltas, options), []
     for level, delta in enumerate(deltas):
@@ -152,9 +153,9 @@ def risk(pool, robot, options):
 
 
 def speed(pool, robot, options):
-    """CPU seconds of a motion's value, its slopes, and a replan of 10 s from a warm start.
+    """CPU seconds of a motion's value, its gradient, and a replan of 10 s from a warm start.
 
-    What is known of the model error when it is planned again is what the plan foresaw.
+    The belief of the model error at the replan is the one that the plan predicted.
     """
     options.scenes = 1
     ((_, (plan,)),) = plans_of(pool, robot, [0.05], options)
@@ -186,14 +187,14 @@ def speed(pool, robot, options):
 
 
 def margin(pool, robot, options):
-    """Stated risks against one margin for every place."""
+    """Rows that compare stated risks with fixed margins."""
     (delta,) = options.delta or [0.05]
     seeded = [(seed, plan) for seed, (plan,) in plans_of(pool, robot, [delta], options)]
     return margin_rows(pool, robot, seeded, options)
 
 
 def sensing(pool, robot, options):
-    """What planning slide and motion together is worth."""
+    """Rows that compare joint planning of slide and motion with other policies."""
     seeds = range(options.first, options.first + options.scenes)
     scenes = pool.map(partial(scene_rows, robot, runs=options.runs), seeds, 1)
     rows = [row for scene in scenes for row in scene]
@@ -203,7 +204,7 @@ def sensing(pool, robot, options):
 
 
 def millimetres(text):
-    """A margin as it is written, if it is one."""
+    """Text of a margin in mm or "equal", checked for argparse."""
     return text if text == "equal" else f"{float(text):g}"
 
 

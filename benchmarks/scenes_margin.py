@@ -1,8 +1,8 @@
-"""Risk shared out by where it counts, against one margin for every place, for `scenes.py`.
+"""Risk allocation against a fixed margin of clearance, for `scenes.py`.
 
-A planner that keeps the expected body a fixed margin away from everything plans the same scenes,
-with one margin after another, and with the margin that makes the risk of each scene that of the
-plan. The slides go as in the motion with a stated risk, and the same robots follow all motions.
+A planner that keeps the expected body a fixed margin away from all obstacles plans the same scenes,
+with several margins, and with the margin at which each scene's risk equals the plan's. The slides
+move as in the motion with a stated risk, and the same robots follow all motions.
 """
 
 import sys
@@ -16,15 +16,15 @@ from glissando.planning.scene.plan_motion import motion_problem, plan_motion
 from glissando.planning.scene.sampled_risk import sample_risk
 from scenes_world import followed
 
-SHARP = 1e-4  # m, by which a margin is softened
+SHARP = 1e-4  # m: standard deviation that smooths a margin
 MARGINS = "2", "2.5", "3", "3.25", "3.5", "4", "equal"  # mm, and of equal risk in each scene
-WIDEST, HALVINGS = 6e-3, 6  # m, and of the range in which a scene's margin of equal risk lies
+WIDEST, HALVINGS = 6e-3, 6  # m: upper limit, and bisections, of the margin of equal risk
 
 
 def with_margin(robot, plan, margin):
-    """The plan with the motion that keeps a margin (m), and its risk; None where there is none.
+    """Plan with a motion that keeps a margin (m), and its risk; None if there is no such motion.
 
-    Its search has the same starts as that of the plan, and the plan itself besides.
+    The search has the same initial guesses as the plan's, and the plan itself.
     """
     scene = plan.problem.scene
     surely = replace(robot, tendons=replace(robot.tendons, std=1e-7, psd_moment=1e-14))
@@ -45,7 +45,7 @@ def with_margin(robot, plan, margin):
 
 
 def with_equal_risk(robot, plan):
-    """The motion that keeps the least margin found whose risk is no larger than the plan's."""
+    """Plan with the least margin, by bisection, whose risk is not larger than the given plan's."""
     low, high, found = 0.0, WIDEST, None
     for _ in range(HALVINGS):
         margin = 0.5 * (low + high)
@@ -58,7 +58,7 @@ def with_equal_risk(robot, plan):
 
 
 def judged(plan):
-    """Risk, seconds until the tip stays at its target, length of its way (m), and cost."""
+    """Risk, time until the tip stays at its target (s), length of its path (m), and cost."""
     even = plan.evenly()
     at, moments = even.evaluation, even.problem.space.moments
     target = plan.problem.scene.targets[-1]
@@ -69,10 +69,10 @@ def judged(plan):
 
 
 def margin_rows(pool, robot, seeded, options):
-    """Motions with a stated risk, and those that keep each margin: risks, hits, and ratios.
+    """Rows for motions with a stated risk, and for each margin: risks, hits, and ratios.
 
-    Ratios are of sums over the scenes that a margin passes, ours over theirs, with their 95 %
-    intervals over scenes drawn with replacement.
+    Ratios are of sums over the scenes in which a margin is feasible, stated risk over margin, with
+    95 % bootstrap intervals over scenes.
     """
     seeds, plans = [seed for seed, _ in seeded], [plan for _, plan in seeded]
     rows, rng = [described("stated", plans, plans, rng=None)], np.random.default_rng(0)
@@ -89,7 +89,7 @@ def margin_rows(pool, robot, seeded, options):
 
 
 def described(name, ours, theirs, rng):
-    """One row: risks of their motions, and ratios of ours to theirs."""
+    """Row of a margin: risks of its motions, and ratios of ours to these."""
     both = [(judged(a), judged(b)) for a, b in zip(ours, theirs, strict=True) if b is not None]
     row = {"margin": name, "scenes": len(ours), "passed": len(both)}
     if not both:
@@ -109,12 +109,12 @@ def described(name, ours, theirs, rng):
 
 
 def followed_by_all(pool, robot, seeds, plans, runs):
-    """Robots that follow the motions, `runs` in each scene that has one, and how many hit."""
+    """Number of robots that follow the motions, `runs` per feasible scene, and of hits."""
     tasks = [(robot, plan, seed, runs) for seed, plan in zip(seeds, plans, strict=True) if plan]
     return {"runs": runs * len(tasks), "hits": sum(pool.imap_unordered(hits_of, tasks))}
 
 
 def hits_of(task):
-    """How many of a scene's robots hit something: robot, plan, seed and number of robots."""
+    """Number of a scene's robots that hit an obstacle, for a task (robot, plan, seed, robots)."""
     robot, plan, seed, runs = task
     return sum(followed(plan, robot, 10_000 * seed + n)[0] < 0.0 for n in range(runs))

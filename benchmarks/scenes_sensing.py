@@ -1,8 +1,8 @@
-"""Slide and motion planned together where the body must pass two slits, for `scenes.py`.
+"""Joint planning of slide and motion through two slits, for `scenes.py`.
 
-The body ends in a slit about its middle and one about its tip. The slide reads positions; tendons
-have unknown zeros that wander, so the body is known to a centimetre where nothing was read. All
-policies have the scene, the risk, the time and the robots by seed in common.
+The body ends in one slit about its middle and one about its tip. The sliding tracker reads
+positions; the tendons' zeros are unknown and drift, so without readings the body is known to about
+a centimetre. All policies have the same scene, risk, time and robots by seed.
 """
 
 import sys
@@ -22,24 +22,24 @@ from glissando.planning.sliding_sensor import sliding_sensor
 from scenes_world import PAUSE, WanderingWorld, followed
 
 DELTA, HORIZON, RADIUS, TOLERANCE, MODEL_STD = 0.05, 10.0, 0.006, 0.005, 8e-4
-GAPS = 2.8e-3, 4.2e-3  # m of clearance to each side, in the slit of the middle and of the tip
-BESIDE = 19e-3  # m of clearance from the slit of the middle at the start
-FREE = 0.02  # m that the slit of the tip begins before the tip's place
-THICK = 0.01, 0.004  # m, half of it
+GAPS = 2.8e-3, 4.2e-3  # m: clearance to each side, in the slits of middle and tip
+BESIDE = 19e-3  # m: clearance from the slit of the middle at the start
+FREE = 0.02  # m: distance from the start of the tip's slit to the tip
+THICK = 0.01, 0.004  # m: half thickness
 OUTER, WIDE, ROUNDING = 0.04, 0.03, 0.002
 TENDON = {"speed": 2e-3, "acceleration": 1e-3, "start": 4.5e-3}
 RESERVE = 0.75  # of their speed, for corrections
 STROKE_RESERVE = 1e-3  # m, two standard deviations of their zeros
-SPARE = 2e-3  # m that tendons may go beyond what the target asks for
+SPARE = 2e-3  # m: travel of tendons beyond the displacements at the target
 SLIDE = {"speed": 0.04, "acceleration": 0.08}
 REACH, BEGIN = (0.1, 1.0), 0.7  # of the length
 FIXED = 0.65, 0.8, 0.95  # of the length
 CANDIDATES, ITERATIONS = 2, 30
-NEAR = 0.01  # m from the target, within which a robot has reached it
+NEAR = 0.01  # m: distance within which a robot has reached the target
 
 
 def drawn_passage(robot, seed):
-    """A scene with two slits about the middle and the tip of a bent body."""
+    """Scene with two slits about the middle and the tip of a bent body."""
     rng = np.random.default_rng([seed, 3])
     slide = Actuator(REACH[0] * robot.length, REACH[1] * robot.length, **SLIDE,
                      start=BEGIN * robot.length)  # fmt: skip
@@ -69,7 +69,7 @@ def drawn_passage(robot, seed):
 
 
 def _slit(place, across, normal, half, free, thick):
-    """Two plates with a slit of half a width between them."""
+    """Two plates with a slit of half-width `half` between them."""
     along = np.cross(across, normal)
     size = np.array([0.5 * (free + OUTER), WIDE, thick])
     pose = np.eye(4)
@@ -84,26 +84,26 @@ def _slit(place, across, normal, half, free, thick):
 
 @dataclass(frozen=True)
 class GivenSpace(MotionSpace):
-    """Motions of which some actuators' control points are given (C, S+2), others nan."""
+    """Motions with given control points (C, S+2) of some actuators; NaN for free actuators."""
 
     given: np.ndarray = field(kw_only=True)
 
     def control(self, free):
-        """Control points of free numbers; the given ones stay."""
+        """Control points of free parameters, with the given ones unchanged."""
         return np.where(np.isnan(self.given), super().control(free), self.given)
 
     def follow(self, target):
-        """Control points near targets; the given ones stay."""
+        """Control points near targets, with the given ones unchanged."""
         return np.where(np.isnan(self.given), super().follow(target), self.given)
 
     def free_gradient(self, by_value, by_control):
-        """Slope by the free numbers, nothing by those of given actuators."""
+        """Gradient by the free parameters, zero for given actuators."""
         loose = np.isnan(self.given[:, :1])
         return super().free_gradient(by_value * loose[:, 0], by_control * loose)
 
 
 def with_given(problem, rows, control):
-    """The problem with given control points (C, S+2) of some rows."""
+    """Problem with the control points (C, S+2) of some rows given."""
     space, given = problem.space, np.full(control.shape, np.nan)
     given[rows] = control[rows]
     return replace(
@@ -112,10 +112,10 @@ def with_given(problem, rows, control):
 
 
 def searched(problem, warm=None):
-    """The best motion found, whether or not it keeps the risk.
+    """Best motion found, even if it exceeds the allowed risk.
 
-    Every policy's search has the same starts and iterations, and may start from a `warm` motion
-    besides. Where nothing keeps the risk, one more search leads to the least risky motion.
+    The searches of all policies have the same initial guesses and iterations, and optionally a
+    `warm` start. If no motion is within the risk, a further search minimises the risk.
     """
     try:
         return plan_motion(problem, candidates=CANDIDATES, iterations=ITERATIONS, warm_start=warm)
@@ -128,7 +128,7 @@ def searched(problem, warm=None):
 
 
 def held(robot, scene, first, share):
-    """The motion planned for a tracker that stays at a share of the length."""
+    """Motion planned for a tracker fixed at a share of the length."""
     place, control = share * robot.length, first.copy()
     slide = Actuator(place - 5e-4, place + 5e-4, 1e-3, 1e-3, place)
     control[-1] = place
@@ -136,7 +136,7 @@ def held(robot, scene, first, share):
 
 
 def oscillating(robot, scene, first):
-    """The motion planned for a tracker that goes up and down its reach as fast as it may."""
+    """Motion planned for a tracker that oscillates over its range at its largest speed."""
     problem, control = motion_problem(scene, robot), first.copy()
     path = problem.space.paths[-1]
     reach = path.upper - path.lower
@@ -146,7 +146,7 @@ def oscillating(robot, scene, first):
 
 
 def in_turn(robot, scene):
-    """The motion of a robot that is thought exact, and then the best path of the slide for it."""
+    """Motion planned for an exact model, and then the best path of the slide for it."""
     exact = replace(robot, tendons=replace(robot.tendons, std=1e-7, psd_moment=1e-14))
     blind = motion_problem(replace(scene, model_std=1.2e-3), exact, senses=False)
     control = plan_motion(blind, candidates=CANDIDATES, iterations=ITERATIONS).evaluation.control
@@ -156,7 +156,7 @@ def in_turn(robot, scene):
 
 
 def plans_of(robot, scene):
-    """The plan of each policy by name, one after another."""
+    """Yield name and plan of each policy."""
     joint = searched(motion_problem(scene, robot))
     first = joint.evaluation.control
     yield "slide and motion together", joint
@@ -167,7 +167,7 @@ def plans_of(robot, scene):
 
 
 def wide(plan):
-    """Standard deviations across the slits of the middle and the tip, where the motion ends, m."""
+    """Standard deviations (m) across the slits at middle and tip, at the end of the motion."""
     std = plan.evaluation.clearances.std()[:, -1]
     mean = plan.evaluation.clearances.mean[:, -1]
     nearest = np.argmin(mean / std, axis=1)
@@ -175,7 +175,7 @@ def wide(plan):
 
 
 def scene_rows(robot, seed, runs):
-    """Each policy in a scene: its plan, and hits and misses of simulated robots."""
+    """Rows of each policy in a scene: its plan, and results of simulated robots."""
     rows = []
     for name, plan in plans_of(robot, drawn_passage(robot, seed)):
         kept = plan.risk <= DELTA + 2.0 * plan.risk_std and plan.miss <= TOLERANCE
@@ -191,7 +191,7 @@ def scene_rows(robot, seed, runs):
 
 
 def summed(rows, runs):
-    """One row a policy; what is not planned passes nowhere."""
+    """Row per policy, summed over scenes; scenes without a valid plan count as not passed."""
     out = []
     for name in dict.fromkeys(row["policy"] for row in rows):
         own = [row for row in rows if row["policy"] == name]
@@ -207,7 +207,7 @@ def summed(rows, runs):
 
 
 def draw_sensing(rows, runs, path):
-    """How well the body is known in both slits, and how many robots pass, by policy."""
+    """Draw the standard deviations in both slits, and the share of robots that pass, by policy."""
     import matplotlib
 
     matplotlib.use("Agg")

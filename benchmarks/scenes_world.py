@@ -1,7 +1,7 @@
-"""A tendon robot in foreign physics for `scenes.py`: it has inertia, and differs from its file.
+"""Simulated tendon robot for `scenes.py`, with inertia and deviations from its robot file.
 
-The wire keeps a set, tendons rub and have play, stiffness, angles and zeros are off, and it has
-weight: nothing of which the planner knows but what [tendons] says of errors in sum.
+The rod has a permanent set and weight, tendons have friction and play, and stiffness, angles and
+zeros differ from the file. The planner has only the total model error stated in [tendons].
 """
 
 from dataclasses import dataclass, replace
@@ -17,16 +17,19 @@ from glissando.simulation.dynamics import Scenario, simulate_motion
 from glissando.simulation.imperfections import SmoothField
 
 PAUSE = 0.5  # s between corrections
-COMMANDS = 10  # to the tendons in a pause
+COMMANDS = 10  # tendon commands per pause
 SET, SET_LENGTH = 0.35, 0.06  # rad/m, m
 FRICTION, PLAY, ZERO, ANGLE, STIFFNESS = 0.03, 1e-4, 1e-4, 0.02, 0.03
 MASS = 0.004  # kg/m
-PLACES, MOMENTS = 25, 4  # of the body, and of a pause, at which hits are looked for
+PLACES, MOMENTS = 25, 4  # points of the body, and times of a pause, tested for hits
 
 
 @dataclass
 class World:
-    """A simulated robot: `pull` moves it on, `read` is its coil, `clearance` the least so far."""
+    """Simulated robot: `pull` advances it, `read` simulates its sensor.
+
+    `clearance` is the least distance to obstacles so far, m.
+    """
 
     rod: Rod
     tendons: list
@@ -41,7 +44,7 @@ class World:
 
     @staticmethod
     def drawn(robot, scene, seed):
-        """The robot of a seed."""
+        """Robot drawn by a seed."""
         rng, t = np.random.default_rng([seed, 7]), robot.tendons
         bent = SmoothField.draw(rng, 1, 2, SET_LENGTH)
 
@@ -62,7 +65,7 @@ class World:
         return World(rod, tendons, t.stiffness, ZERO * rng.standard_normal(len(t)), scene, rng)
 
     def pull(self, path):
-        """Go on for a pause, in which the tendons follow displacements (S, T) at even times."""
+        """Simulate PAUSE s while the tendons follow displacements (S, T) at equidistant times."""
         half, reached = 0.5 * PLAY, []
         at = path[0] if self.reached is None else self.reached
         for displacement in path:
@@ -90,7 +93,7 @@ class World:
             self.clearance = min(self.clearance, clear)
 
     def read(self, sensor, path):
-        """Readings of the last pause of a sensor whose arclengths were (S,) at even times."""
+        """Readings in the last PAUSE s of a sensor at arclengths (S,) at equidistant times."""
         count = max(1, round(sensor.rate * PAUSE))
         share = (np.arange(count) + 1.0) / count
         place = np.interp(share, np.linspace(0.0, 1.0, path.size), path)
@@ -98,7 +101,7 @@ class World:
         clean = sensor.readings(pose, place, self.time - PAUSE * (1.0 - share))
         std = np.sqrt(np.diagonal(clean.cov))
         noise = std * self.rng.standard_normal((count, std.size))
-        if isinstance(clean, CoilReadings):  # turns of a pose
+        if isinstance(clean, CoilReadings):  # coil noise is a right twist of the pose
             values = pose @ se3.exp(np.pad(noise, ((0, 0), (0, 1))))
         else:
             values = clean.values + noise
@@ -106,13 +109,13 @@ class World:
 
     @property
     def tip(self):
-        """Where the tip is (3,), m."""
+        """Position of the tip (3,), m."""
         return self.motion.at(self.rod.length, PAUSE).pose[:3, 3]
 
 
 @dataclass
 class WanderingWorld(World):
-    """A robot whose tendons' zeros are as far off, and wander as fast, as its file says."""
+    """Robot whose tendons' zeros drift with the standard deviation and time scale of its file."""
 
     std: float = 0.0
     kept: float = 1.0
@@ -121,7 +124,7 @@ class WanderingWorld(World):
 
     @staticmethod
     def drawn(robot, scene, seed):
-        """The robot of a seed."""
+        """Robot drawn by a seed."""
         plain = World.drawn(robot, scene, seed)
         drift = np.random.default_rng([seed, 11])
         std = robot.tendons.std
@@ -132,7 +135,7 @@ class WanderingWorld(World):
         )  # fmt: skip
 
     def pull(self, path):
-        """Go on for a pause in which zeros wander."""
+        """Simulate PAUSE s with drifting zeros, see `World.pull`."""
         rest = self.std * np.sqrt(1.0 - self.kept**2)
         new = self.kept * self.off + rest * self.drift.standard_normal(self.off.size)
         share = np.linspace(0.0, 1.0, len(path))[:, None]
@@ -141,7 +144,7 @@ class WanderingWorld(World):
 
 
 def run_loop(follower, world):
-    """Follow a plan in the world to its end: least clearance, and the tip's miss, m."""
+    """Follow a plan to its end; returns least clearance and the tip's miss, m."""
     problem = follower.problem
     count = len(problem.scene.tendons)
     for k in range(round(problem.scene.horizon / PAUSE) + 1):
@@ -158,7 +161,7 @@ def run_loop(follower, world):
 
 
 def followed(plan, robot, seed, kind=World):
-    """Least clearance and miss of a robot of a seed that follows a plan, m."""
+    """Least clearance and miss (m) of a robot, drawn by a seed, that follows a plan."""
     world = kind.drawn(robot, plan.problem.scene, seed)
     try:
         return run_loop(MotionFollower(plan), world)

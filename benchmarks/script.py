@@ -1,4 +1,4 @@
-"""What scripts share: a mistake is one sentence and status 2, and work of some length says so."""
+"""Common functions of scripts: errors of use in one sentence with status 2, and progress."""
 
 import sys
 import time
@@ -12,7 +12,7 @@ _said = [time.monotonic()]
 
 
 def run(main):
-    """Run a script; what was given wrongly is said in a sentence."""
+    """Run a script; errors of the package are printed as one sentence, with status 2."""
     try:
         status = main()
     except (GlissandoError, OSError) as problem:
@@ -22,7 +22,7 @@ def run(main):
 
 
 def say(text):
-    """Say how far work is, on stderr and every few seconds at most."""
+    """Print progress on stderr, at most every few seconds."""
     if time.monotonic() - _said[0] > EVERY:
         _said[0] = time.monotonic()
         print(text, file=sys.stderr, flush=True)

@@ -1,8 +1,9 @@
-"""Is confidence true on shapes of another group's solver? Learned on 125 of them, judged on 250.
+"""Coverage on shapes of another group's solver, with a prior learned on 125 and tested on 250.
 
 A clamped steel rod of 0.6 m bends under gravity and a random force and moment at its middle and at
 its tip. A sliding coil stops at five of its stations; the position at the others is predicted.
-Of the first 250 shapes every second is learned from, for speed; the last 250 are judged.
+The prior is learned from every second of the first 250 shapes, for speed, and tested on the last
+250.
 Usage: shapes.py [--learn]   (--learn learns the prior's numbers again first, in a quarter hour)
 """
 
@@ -32,16 +33,16 @@ FRACTIONS = 0.3 * np.array([0, 0.0469, 0.2308, 0.5, 0.7692, 0.9531, 1])
 STATIONS = np.concatenate([FRACTIONS, 0.3 + FRACTIONS[1:]])  # 13 places, the first the base
 BODY = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # their tangent is body x, ours z
 READ = 5  # stations where the coil stops
-NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])  # one standard deviation of each axis
+NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])  # standard deviation per axis, m and rad
 ROUNDING = 1e-4 / np.sqrt(12)  # m: the file has four decimals
 LEVELS = (0.5, 0.9, 0.95, 0.99)
 
-RIGID = [1e-9] * 3  # shear and extension, as variances: steel has next to none
-JOINTS = [0.15, 0.3, 0.45]  # the wrench at 0.3 m makes strain jump; the others halve the segments
+RIGID = [1e-9] * 3  # variances of shear and extension: negligible for steel
+JOINTS = [0.15, 0.3, 0.45]  # strain jumps at 0.3 m, where a wrench acts; others halve segments
 
 
 def rod(base, psd, jumps):
-    """A robot file as TOML gives it: [bending, torsion] at the base, of the quarters, at JOINTS."""
+    """Parsed robot file with [bending, torsion] at the base, of the quarters, and at JOINTS."""
     full = [[[*RIGID, bend, bend, twist] for bend, twist in rows] for rows in ([base], psd, jumps)]
     return {
         "name": "steel rod",
@@ -54,7 +55,7 @@ def rod(base, psd, jumps):
         },
         "prior": {
             "kind": "separable",
-            "time_scale": 1.0,  # of no matter to a single moment
+            "time_scale": 1.0,  # has no effect with a single time node
             "joints": JOINTS,
             "psd_strain_arclength": full[1],
             "var_jumps": full[2],
@@ -64,7 +65,7 @@ def rod(base, psd, jumps):
 
 
 START = rod([10, 1], [[1, 0.3]] * 4, [[0.1, 0], [0.5, 0.5], [0.1, 0]])
-LEARNED = rod(  # by `relearn`, rounded; torsion of the quarters hardly shows, and stayed at START
+LEARNED = rod(  # by `relearn`, rounded; torsion of the quarters is hardly observable: as in START
     [23.5, 0.34],
     [[0.375, 0.26], [0.033, 0.27], [0.054, 0.29], [0.40, 0.30]],
     [[0.041, 0], [0.47, 0.35], [1.5, 0]],
@@ -86,7 +87,7 @@ def load_shapes(file=FILE):
 
 @dataclass(frozen=True)
 class Shape:
-    """Poses (13, 4, 4) of one shape, and the coil's readings (5, 4, 4) at the stations `stops`."""
+    """One shape with poses (13, 4, 4), and coil readings (5, 4, 4) at the stations `stops`."""
 
     pose: np.ndarray
     stops: np.ndarray
@@ -94,28 +95,28 @@ class Shape:
 
     @property
     def unread(self):
-        """Stations (7,) beyond the base where the coil did not stop."""
+        """Indices (7,) of the stations beyond the base where the coil did not stop."""
         return np.setdiff1d(np.arange(1, STATIONS.size), self.stops)
 
     def grid(self, robot):
-        """A single moment."""
+        """Grid with a single time node."""
         return Grid(robot.arclength_nodes, [0.0])
 
     def readings(self, robot):
-        """What the coil said."""
+        """Readings of the coil."""
         cov = robot.sensor_std["coil"] ** 2
         s = STATIONS[self.stops]
         return [CoilReadings(time=np.zeros(READ), arclength=s, values=self.coil, cov=cov)]
 
     def truth(self, robot):
-        """What to predict: true positions where the coil did not stop."""
+        """True positions where the coil did not stop, to be predicted."""
         s, place = STATIONS[self.unread], self.pose[self.unread, :3, 3]
         zero = np.zeros(s.size)
         return [PositionReadings(time=zero, arclength=s, values=place, cov=ROUNDING**2)]
 
 
 def read_shapes(poses, numbers):
-    """The numbered shapes, each read by a coil of its own seed."""
+    """Numbered shapes with simulated coil readings, seeded by number."""
     shapes = []
     for number in numbers:
         rng = np.random.default_rng(number)
@@ -129,7 +130,7 @@ def read_shapes(poses, numbers):
 
 
 def relearn(poses):
-    """Learn from START on TUNED_ON to predict the positions where the coil did not stop."""
+    """Learn the prior from START on TUNED_ON, by predictions where the coil did not stop."""
     document = expanded(START)
     parameters = [p for p in learnable(document, []) if p.label != "time scale"]
     found = learn(document, parameters, read_shapes(poses, TUNED_ON), steps=30)
@@ -140,7 +141,7 @@ def relearn(poses):
 
 @dataclass(frozen=True)
 class Innovations:
-    """Errors (M, 7) in metres at the unread stations, ours with its NEES, and Hermite's."""
+    """Errors (M, 7) at the unread stations, m, of ours with NEES, and of Hermite curves."""
 
     error: np.ndarray
     nees: np.ndarray
@@ -149,7 +150,7 @@ class Innovations:
 
 
 def judge(document, shapes):
-    """Estimate every shape and compare."""
+    """Estimate every shape and compare with the truth."""
     robot, found = parse_robot(Table(document, document["name"], GlissandoError)), []
     for shape in shapes:
         posterior = estimate(robot.prior, shape.grid(robot), shape.readings(robot))
@@ -160,7 +161,7 @@ def judge(document, shapes):
 
 
 def hermite(shape):
-    """Errors (7,) of cubics through the base and the readings, straight on past the last."""
+    """Errors (7,) of Hermite cubics through base and readings, straight beyond the last, m."""
     known = np.concatenate([shape.pose[:1], shape.coil])
     s, at = STATIONS[np.concatenate([[0], shape.stops])], STATIONS[shape.unread]
     place, tangent = known[:, :3, 3], known[:, :3, 2]
@@ -170,9 +171,9 @@ def hermite(shape):
 
 
 def summary(judged, where=True):
-    """Shares inside each ellipsoid with their intervals, NEES / 3, median and RMSE in mm.
+    """Shares inside each ellipsoid with 95 % intervals, NEES / 3, median and RMSE in mm.
 
-    `where` (M, 7) chooses stations. Intervals are of 95 %, by drawing whole shapes again.
+    `where` (M, 7) selects stations. Intervals are by bootstrap over whole shapes.
     """
     where = where & np.ones_like(judged.beyond)
     drawn = np.random.default_rng(0).integers(len(where), size=(2000, len(where)))
@@ -188,7 +189,7 @@ def summary(judged, where=True):
 
 
 def row(name, told):
-    """A row of the table."""
+    """Row of the table."""
     shares = ["{:.1f} ({:.1f}–{:.1f})".format(*(100 * v for v in told[k])) for k in LEVELS]
     errors = ["{:.2f} / {:.2f}".format(*told[k]) for k in ("ours", "hermite")]
     cells = [name, str(told["stations"]), *shares, f"{told['nees']:.2f}", *errors]
@@ -209,7 +210,7 @@ last. Brackets hold 95 % intervals from resampling the shapes.
 
 
 def page(document=LEARNED):
-    """The section of the page: what was done, and the table."""
+    """Section of the page: method and table."""
     poses = load_shapes()
     judged, tuned = (judge(document, read_shapes(poses, n)) for n in (REPORTED_ON, TUNED_ON))
     rows = [

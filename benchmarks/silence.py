@@ -1,12 +1,12 @@
-"""Whether the newest state's covariance is true before, during and after a pause of any length.
+"""Consistency of the newest state's covariance before, during and after a pause of readings.
 
-For every robot, a coil at the tip of a random arc, which holds still, is read for a second by a
-fixed-lag smoother; then nothing is heard for the pause; then a coil at the tip of another random
-arc is read, since after so long the robot may be anywhere. NEES of the tip's position is of the
-last update before the pause, the state at its end before anything is heard, the first update with
-a reading, and the fifth. A robot that holds still is known better than a prior for moving ones
-says, so it is to stay below 1 and the upper bound; `tests/estimation/test_silence.py` draws
-motions from the prior itself, for which NEES is inside both bounds.
+For every robot, a fixed-lag smoother reads a coil at the tip of a random, still arc for a second;
+then there are no readings for the pause; then it reads a coil at the tip of another random arc,
+because after a long pause the robot may be anywhere. The table has the NEES of the tip's position
+at the last update before the pause, at its end before any reading, at the first update with a
+reading, and at the fifth. A still robot has smaller errors than a prior for moving ones predicts,
+so NEES is tested against the upper bound only; `tests/estimation/test_silence.py` draws motions
+from the prior itself, for which NEES is inside both bounds.
 
 Usage: silence.py [--robots NAME …] [--pauses SECONDS …] [--sessions N] [--first-seed N] [--json]
 """
@@ -32,19 +32,19 @@ WHEN = ("before", "during", "first", "fifth")
 
 
 def arc(rng, length):
-    """Pose (4, 4) of the tip of a random arc."""
+    """Pose (4, 4) of the tip of a random arc of a length."""
     bend, plane = rng.uniform(0.2, 1.5), rng.uniform(-np.pi, np.pi)
     return se3.exp(np.array([0, 0, length, bend * np.cos(plane), bend * np.sin(plane), 0]))
 
 
 def squared(newest, tip):
-    """Squared error of the tip's position in units of its covariance."""
+    """NEES of the tip's position."""
     error = newest.pose[-1, :3, :3].T @ (tip[:3, 3] - newest.position[-1])
     return float(error @ np.linalg.solve(newest.cov[-1, :3, :3], error))
 
 
 def heard(smoother, rng, tip, time):
-    """The newest state after a reading of the tip."""
+    """Newest state after a reading of the tip."""
     wobble = np.append(np.sqrt(COV) * rng.standard_normal(5), rng.uniform(-np.pi, np.pi))
     seen = tip @ se3.exp(np.append(wobble[:5], 0.0)) @ se3.exp(np.append(np.zeros(5), wobble[5]))
     place = np.full(1, smoother.arclength[-1])
@@ -55,7 +55,7 @@ def heard(smoother, rng, tip, time):
 
 
 def judge(robot, sessions, pauses, first_seed):
-    """NEES (pauses, 4) of a robot, and how many readings were refused."""
+    """NEES per degree of freedom (pauses, 4) of a robot, and the number of refused readings."""
     found, refused = np.zeros((sessions, len(pauses), len(WHEN))), 0
     for i in range(sessions):
         rng = np.random.default_rng([first_seed, i])

@@ -1,7 +1,7 @@
-"""How many static shapes a second on one core, and how long motions take to simulate.
+"""Time of static shapes and of motions in simulation, on one core.
 
-Times are processor seconds of one thread in one process, ratios to the first row. A motion with
-inertia is asked for at 1 kHz at seven places. Usage: simulate.py
+Times are processor seconds of one thread in one process, with ratios to the first row. A motion
+with inertia is evaluated at 1 kHz at seven places. Usage: simulate.py
 """
 
 import os
@@ -20,7 +20,7 @@ from glissando.simulation.dynamics.scenario_file import scenario_of
 
 
 def shapes(count, friction, seed=0):
-    """Cold solves of random tensions, gravity and a tip load on the paper's robot."""
+    """Solve shapes of the paper's robot under random tensions, gravity and tip load, from rest."""
     rng = np.random.default_rng(seed)
     bench = load_bench(robot_file("sliding700"))
     tendons = bench.tendons
@@ -32,7 +32,7 @@ def shapes(count, friction, seed=0):
 
 
 def motion():
-    """Twenty seconds from C to S, and what its sensors record."""
+    """Simulate twenty seconds from C to S, with the sensors' readings."""
     bench = load_bench(robot_file("sliding700"))
     moved = bench.move(bench.shape("C-to-S"), bench.flaws, seed=1)
     path = SlidePath.oscillate(3, 0.06, bench.slide)
@@ -40,7 +40,7 @@ def motion():
 
 
 def swing():
-    """Two seconds from C to S with inertia, and where seven places are every millisecond."""
+    """Simulate two seconds from C to S with inertia, and evaluate seven places every ms."""
     bench = load_bench(robot_file("sliding700"))
     actuation = bench.shape("C-to-S").lasting(2.0)
     moved = bench.move_dynamically(scenario_of(actuation), bench.flaws, 1, 2.0)

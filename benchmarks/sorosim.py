@@ -1,6 +1,6 @@
-"""Our static shapes against 500 that another group's Cosserat solver, SoroSim, found.
+"""Simulated static shapes against 500 of another group's Cosserat solver, SoroSim.
 
-Its strain is a few modes in each of two segments; ours is not. Usage: sorosim.py [FILE.csv]
+Its strain is a few modes in each of two segments; ours is spectral. Usage: sorosim.py [FILE.csv]
 """
 
 import csv
@@ -37,7 +37,7 @@ def differences(file):
 
 
 def line(file):
-    """A row of a table: distances at the tip in mm, median to largest, and the largest angle."""
+    """Row of a table: distances at the tip (mm), median to largest, and the largest angle."""
     distance, angle = differences(file)
     tip = 1e3 * distance[:, -1]
     return (

@@ -1,15 +1,15 @@
-"""Where sliding pays: errors of the body over slide speed and robot speed, against a fixed coil.
+"""Map of the gain of sliding: errors over slide speed and robot speed, against a fixed coil.
 
-A tendon-driven robot with inertia goes from C to S in 0.5 to 12 s while its coil slides over the
-whole length and back at 20 mm/s to 1 m/s, hung at a drive tube that yields, sticks and slips, under
-a tracker that exposes for 25 ms. The estimator knows how long the motion lasts (`paced`). Every
-cell of the map is the RMSE of six motion capture frames over seeds, each another robot with another
-set of its tubes and other draws of all noise; the fixed coil sits at the tip, has the same seeds
-and the same tracker.
+A tendon-driven robot with inertia moves from C to S in 0.5 to 12 s while its coil slides over the
+whole length and back at 20 mm/s to 1 m/s, on an elastic drive tube with stick-slip, with a tracker
+whose exposure is 25 ms. The duration of the motion is known to the estimator (`paced`). Every cell
+of the map is the RMSE of six motion capture frames over seeds, each with another permanent set of
+the tubes and other draws of all noise; the fixed coil is at the tip, with the same seeds and
+tracker.
 
-`--write DIR` writes the robot and two studies; `glissando study DIR/fixed.toml --out DIR/fixed` and
-the same of `sliding` fill them, on all cores, stopped and resumed as one likes; then `speed_map.py
-DIR` prints the map, of the seeds that all cells of a robot speed have.
+`--write DIR` writes the robot and two studies; `glissando study DIR/fixed.toml --out DIR/fixed`,
+and likewise `sliding`, runs them on all cores, and can be stopped and resumed; then `speed_map.py
+DIR` prints the map, for the seeds that all cells of a robot speed have.
 
 Usage: speed_map.py DIR [--write] [--seeds N] [--figure FILE.png] [--json]
 """
@@ -45,7 +45,7 @@ def write(folder, seeds):
 
 
 def found(folder, name):
-    """Rows (D, V, S, 5) of COLUMNS by duration, speed and seed; NaN where not yet run."""
+    """Results (D, V, S, 5) in COLUMNS by duration, speed and seed; NaN for cells not yet run."""
     study = load_study(folder / f"{name}.toml")
     rows = Store(study, folder / name, resume=True).rows
     speeds = SPEEDS if name == "sliding" else [0.0]
@@ -60,7 +60,7 @@ def found(folder, name):
 
 
 def tip_speed():
-    """Mean speed of the tip over its way from shape to shape, times the duration, m."""
+    """Length of the tip's path from shape to shape, m: mean speed times duration."""
     known = bench()
     actuation = known.shape(SHAPE)
     motion = known.move(actuation, known.flaws.without("set"), 0)
@@ -70,7 +70,7 @@ def tip_speed():
 
 
 def judged(folder):
-    """The map: for every cell speeds, passes of the body and the change against the fixed coil."""
+    """Cells of the map: speeds, passes over the body, and the change against the fixed coil."""
     fixed, sliding = (found(folder, name) for name in ("fixed", "sliding"))
     travel, length = tip_speed(), bench().rod.length
     cells = []
@@ -93,10 +93,10 @@ def judged(folder):
 
 
 def rule(cells):
-    """Between how many passes during the motion sliding costs, and what it pays outside.
+    """Ranges of passes during the motion in which sliding increases or reduces the error.
 
-    Up to `near` passes, and from `far` on, the whole 95 % interval of the change lies below zero in
-    every cell; `costs` are the fewest and the most passes of cells where it lies above.
+    Up to `near` passes, and from `far` on, the whole 95 % interval of the change is below zero in
+    every cell; `costs` are the fewest and the most passes of cells where it is above.
     """
     ordered = sorted(cells, key=lambda cell: cell["passes"])
     passes = np.array([cell["passes"] for cell in ordered])
@@ -120,7 +120,7 @@ def rule(cells):
 
 
 def show(cells):
-    """Print the map as tables, and the rule."""
+    """Print the map as tables, and the rule as sentences."""
     durations = sorted({c["duration"] for c in cells})
     speeds = sorted({c["slide_speed"] for c in cells})
     at = {(c["duration"], c["slide_speed"]): c for c in cells}
@@ -154,7 +154,7 @@ def show(cells):
 
 
 def draw(cells, path):
-    """Draw the map with lines of equally many passes; what grows by more than 100 % as that."""
+    """Draw the map with lines of equal passes; its colours end at ±100 %."""
     durations = sorted({c["duration"] for c in cells})
     change = {(c["duration"], c["slide_speed"]): c["position_change"]["value"] for c in cells}
     grid = np.array([[change[d, v] for v in SPEEDS] for d in durations])
@@ -192,7 +192,7 @@ def _confidence(cell):
 
 
 def main():
-    """Write the studies, or print their map."""
+    """Write the studies, or print the map of their results."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

@@ -1,8 +1,8 @@
-"""How much faster a study is with two workers than with one, and what Dask costs a cell.
+"""Speed-up of a study by a second worker, and the overhead of Dask per cell.
 
-Wall-clock seconds of the same cells, workers alternating, after a few cells that load the library;
-beside them a plain loop. What others do on the machine meanwhile counts: the loop is run before and
-after, and with two cores the best ratio is two. Usage: study.py [--cells N] [--rounds N]
+Wall-clock seconds of the same cells with one and two workers in turn, after a few cells that load
+the library, and of a plain loop. Other load on the machine affects the result, so rounds are
+repeated; with two cores the best ratio is two. Usage: study.py [--cells N] [--rounds N]
 """
 
 import argparse

@@ -28,7 +28,7 @@ WINDOW, DURATION = (2.0, 7.0), 8.0
 
 
 def robot_text() -> str:
-    """The robot file: sliding700 with nine tendons and twice the nodes."""
+    """Text of the robot file: sliding700 with nine tendons and twice the nodes."""
     text = robot_file("sliding700").read_text()
     tendons = ""
     for k, end in enumerate((0.233, 0.467, 0.7)):
@@ -44,7 +44,7 @@ def robot_text() -> str:
 
 
 def measured(seeds: list[int], folder: Path) -> dict[str, dict[str, float]]:
-    """RMSE over the body (mm), share inside 95 % and NEES by shape and what is used."""
+    """RMSE over the body (mm), share inside 95 % and NEES, by shape and sensors used."""
     file = folder / "nine.toml"
     file.write_text(robot_text())
     robot, result = load_robot(file), {}
@@ -68,7 +68,7 @@ def measured(seeds: list[int], folder: Path) -> dict[str, dict[str, float]]:
 
 
 def main() -> None:
-    """Simulate, estimate and print."""
+    """Simulate, estimate and print the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--seeds", default="0,1,2", metavar="N,…")
     parser.add_argument("--json", action="store_true")

@@ -1,15 +1,15 @@
-"""Learn a robot of three segments and nine tendons, and predict the tip of other runs.
+"""Learn a robot of three segments and nine tendons, and predict the tip in other recordings.
 
 The files are those of `data/sysid` of github.com/ContinuumRoboticsLab/opencr-mujoco: displacements
 of servos and the position of a marker beyond the tip. The robot is that of benchmarks/tendon_robots
-whose servos the files name.
+with the servos named in the files.
 
     python benchmarks/tendons.py --train v4_train.csv v4_single_pulls.csv --judge other.csv --json
 
-Nothing of the judged file is used but its commands. Structure and priors were chosen by leaving
-out whole patterns (pair12, pair13, pair23, all pairs) of the two public training files, never by
-errors on rows learned from; `--leave-out WORD` repeats such a judgement with the rows of the
-training files whose pattern holds the word.
+Only the commands of the file in `--judge` are used. Structure and priors were chosen by leaving out
+whole patterns (pair12, pair13, pair23, all pairs) of the two public training files, never by errors
+on rows learned from; `--leave-out WORD` repeats such a test with the rows of the training files
+whose pattern contains the word.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ ROBOTS = Path(__file__).parent / "tendon_robots"
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows of several files in the order of time, each once."""
+    """Rows of several files in the order of time, without duplicate times."""
 
     names: tuple[str, ...]
     displacement: Array
@@ -79,7 +79,7 @@ def _robot_of(names: tuple[str, ...]) -> Robot:
 
 
 def _judged(robot: Robot, rows: _Rows) -> dict[str, float]:
-    """Errors of the predicted tips, and how many lie inside their 95 % ellipsoids."""
+    """Errors of the predicted tips, and the share inside their 95 % ellipsoids."""
     position, cov = predict_tip(robot, rows.displacement, TIP)
     error = rows.tip - position
     size = np.linalg.norm(error, axis=1)
@@ -96,9 +96,9 @@ def _judged(robot: Robot, rows: _Rows) -> dict[str, float]:
 
 
 def _blocks(pattern: np.ndarray) -> np.ndarray:
-    """Six blocks of whole patterns, dealt out in the order in which they were recorded.
+    """Block numbers of six blocks of whole patterns, assigned in the order of recording.
 
-    Of one pattern alone, blocks are stretches of time.
+    For a single pattern, blocks are time intervals.
     """
     names = [name.removesuffix("_hold") for name in pattern]
     number = {name: i for i, name in enumerate(dict.fromkeys(names))}
@@ -108,7 +108,7 @@ def _blocks(pattern: np.ndarray) -> np.ndarray:
 
 
 def main() -> int:
-    """Learn, predict, and print the errors."""
+    """Learn, predict, and print the errors of the tip."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     add = parser.add_argument
     add("--train", type=Path, nargs="+", required=True, metavar="FILE")

@@ -1,4 +1,4 @@
-"""Draw the shapes that one tendon after another pulls a robot into, with their 95 % ellipses.
+"""Draw the shapes of a robot under pull of each tendon in turn, with 95 % ellipses.
 
 python benchmarks/tendons_figure.py --robot benchmarks/tendon_robots/v4.toml --out docs/tendons.png
 """
@@ -17,7 +17,7 @@ from glissando.io.robot_file import load_robot
 
 
 def main() -> None:
-    """Predict, draw and save."""
+    """Predict the shapes, draw and save the figure."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--robot", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)

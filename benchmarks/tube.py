@@ -1,9 +1,9 @@
-"""Guarantees that need no model: a whole-body tube on SoroSim, and sets for the next reading.
+"""Distribution-free guarantees: a whole-body tube on SoroSim, and sets for the next reading.
 
-Shapes: a tube calibrated on shapes 1 to 250, and the share of shapes 251 to 500 wholly inside (all
-stations where the coil did not stop). The prior's numbers were learned on half of the first 250.
-Recordings: each is replayed as it is, with 5 % gross outliers, and with a stream that breaks off
-its frame half way; the miss rate of adaptive sets must keep within the bound.
+Shapes: a conformal tube calibrated on shapes 1 to 250, and the share of shapes 251 to 500 wholly
+inside (all stations where the coil did not stop). The prior was learned on half of the first 250.
+Recordings: each is replayed unchanged, with 5 % gross outliers, and with streams that jump half
+way; the miss rate of adaptive sets must be within the bound.
 Usage: tube.py [FOLDER of public recordings] [--recording FOLDER] [--robot NAME] [--window T0 T1]
 [--json]   (some minutes)
 """
@@ -35,13 +35,13 @@ SEED = 5
 
 
 def shape_scores(numbers, poses, document=shapes.LEARNED):
-    """Largest normalised error (B,) of each shape over all stations where the coil did not stop."""
+    """Largest normalised error (B,) of each shape over its stations where the coil did not stop."""
     judged = shapes.judge(document, shapes.read_shapes(poses, numbers))
     return np.sqrt(judged.nees.max(axis=1))
 
 
 def tube_of_shapes(file=FILE):
-    """The tube and the share of the other shapes inside it, at two levels."""
+    """Width of the tube, and the share of test shapes inside it, at two levels."""
     poses = shapes.load_shapes(file)
     tuned, judged = (shape_scores(n, poses) for n in (CALIBRATED_ON, REPORTED_ON))
     out = []
@@ -52,7 +52,7 @@ def tube_of_shapes(file=FILE):
 
 
 def corrupted(recording, how, window, rng):
-    """The recording with gross outliers, or with streams that jump half way through a window."""
+    """Recording with gross outliers, or with streams that jump half way through a window."""
     streams, half = {}, float(np.mean(window or recording.span()))
     for name, stream in recording.streams.items():
         rows, values = stream.rows, np.array(stream.rows.values)
@@ -67,14 +67,14 @@ def corrupted(recording, how, window, rng):
 
 
 def adaptive_sets(folder, robot, window):
-    """A dictionary a stream and way of corruption."""
+    """Yield a dictionary per stream and kind of corruption."""
     recording, rng = load_recording(folder), np.random.default_rng(SEED)
     for how in ("as it is", "outliers", "breaks off"):
         say(f"{recording.name}, {how}")
         spoiled = recording if how == "as it is" else corrupted(recording, how, window, rng)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            spoilt = () if spoiled is recording else tuple(CHECKS)  # the checks would name them
+            spoilt = () if spoiled is recording else tuple(CHECKS)  # else refused
             run = replay(spoiled, robot, window=window, truth=[], allow=spoilt)
         for name, sets in run.adaptive.items():
             off = abs(sets.miss_rate - (1.0 - sets.level))
@@ -111,7 +111,7 @@ def main():
 
 
 def page(found):
-    """Both tables."""
+    """Both tables as text."""
     lines = [
         *("| level | σ | shapes 251 to 500 wholly inside |", "|---|---|---|"),
         *(

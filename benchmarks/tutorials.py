@@ -1,4 +1,4 @@
-"""Run the tutorials as they stand and keep their pictures: `python benchmarks/tutorials.py`."""
+"""Run the tutorials unchanged and save their pictures: `python benchmarks/tutorials.py`."""
 
 import os
 import re
@@ -12,7 +12,7 @@ FOLDER = Path(__file__).parents[1] / "docs" / "tutorials"
 
 
 def run(page, folder):
-    """Run the blocks of a page in order, sharing names, inside a folder."""
+    """Run the code blocks of a page in order, with shared names, inside a folder."""
     names = {"__name__": "tutorial"}
     before = Path.cwd()
     os.chdir(folder)

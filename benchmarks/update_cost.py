@@ -1,11 +1,11 @@
-"""What an online update costs with each prior, on the same nodes and readings, in processor time.
+"""Processor time of an online update with each prior, on the same nodes and readings.
 
-And what a scan for contacts after an update costs, while nothing touches and while something does.
+Also the time of a scan for contacts after an update, without and with a contact.
 
 A simulated rod of the shipped robot's length is swayed by a force at its tip while a coil slides
 along it, and in the second half of the time pushed from the side. The priors' smoothers take
-turns, update by update, so that a busy machine slows all. With a recording, its readings and its
-robot, or the robot of a file, are taken instead; an update counts as it was in the fastest of some
+turns, update by update, so that other load affects all equally. With a recording, its readings and
+its robot, or the robot of a file, are used instead; each update's time is the least of several
 runs.
 Usage: update_cost.py [--nodes N ...] [--window K] [--updates U] [--seed S] [--json]
        update_cost.py --recording FOLDER --between A B [--robot FILE] [--nodes N ...] [--window K]
@@ -33,16 +33,16 @@ from glissando.simulation import Loads, Wrench, load_bench
 from glissando.simulation.motion import solve_motion
 
 RATE, COIL_RATE = 10.0, 40.0  # Hz, of time nodes and of readings
-FORCE, MOMENT = 0.1, 0.01  # N and N m, of the unknown wrench at the tip
-TOUCH, AT = 0.5, 0.5  # N from the side, and where in lengths
+FORCE, MOMENT = 0.1, 0.01  # N and N m: standard deviations of the unknown wrench at the tip
+TOUCH, AT = 0.5, 0.5  # N: lateral contact force; its place as a fraction of the length
 NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])
 WEIGHT = [0.0, 0.0, -9.81]  # m/s²
-WARM = 10  # updates before the first that counts
-RUNS = 4  # through a recording
+WARM = 10  # warm-up updates, not timed
+RUNS = 4  # runs through a recording
 
 
 def readings(rod, count, seed):
-    """A coil that slides to and fro along the swaying rod, `count` updates long."""
+    """Readings of a coil that oscillates along the swaying rod, for `count` updates."""
     rng = np.random.default_rng(seed)
     phase, lasts = rng.uniform(0.0, 2.0 * np.pi, 3), (count + 1) / RATE
     knots = np.arange(0.0, lasts + 0.25, 0.25)
@@ -63,7 +63,7 @@ def readings(rod, count, seed):
 
 
 def priors(rod):
-    """The mechanical prior, a separable one whose strain spreads alike, and the robot's own."""
+    """Mechanical prior, separable prior with a similar variance of strain, and the robot's own."""
     stiff = rod.stiffness
     tip = np.repeat([FORCE**2, MOMENT**2], 3)
     var = (tip[3:] + (0.5 * rod.length) ** 2 * tip[:3]) / stiff[3:] ** 2
@@ -85,7 +85,7 @@ def priors(rod):
 
 
 def measured(nodes, window, updates, seed):
-    """Median processor seconds of an update by prior, of smoothers that take turns."""
+    """Median processor seconds of an update by prior, with smoothers in turn."""
     rod = load_bench(robot_file("sliding700")).rod
     coil = readings(rod, updates, seed)
     places = np.linspace(0.0, rod.length, nodes)
@@ -108,11 +108,11 @@ def measured(nodes, window, updates, seed):
 
 
 def recorded(folder, between, robot, nodes, window):
-    """Processor seconds, median and 99 %, of updates through a part of a recording."""
+    """Median and 99 % quantile of processor seconds of updates in a window of a recording."""
     recording = load_recording(folder)
     robot = load_robot(robot) if robot else recording.robot
     places = np.linspace(0.0, robot.length, nodes)
-    places = np.union1d(places, getattr(robot.prior, "joints", ()))  # which have to be nodes
+    places = np.union1d(places, getattr(robot.prior, "joints", ()))  # joints must be nodes
     streams = chosen_streams(recording, robot, between, None, None)[0]
     count = max(2, round((between[1] - between[0]) * robot.time_rate) + 1)
     times, taken = np.linspace(*between, count), []

@@ -1,8 +1,8 @@
-"""Shape and wrenches of loaded rods from few coil readings, against a prior that knows no loads.
+"""Shape and wrenches of loaded rods from few coil readings, against priors without loads.
 
-Clamped rods bend under gravity, which is known, and a random force and moment at their middle and
-at their tip, which are not; another group's solver found the shapes. A coil reads the tip alone, or
-five of the stations. Of the file's shapes the first half is learned from, the second judged.
+Clamped rods bend under known gravity, and under unknown random forces and moments at their middle
+and tip; another group's solver computed the shapes. A coil reads the tip only, or five of the
+stations. Priors are learned on the first half of the file's shapes and tested on the second.
 Usage: wrenches.py --shapes FILE.csv --young Pa --poisson NU --density KG --radius M --length M
        [--readings tip|five] [--json]
 """
@@ -30,13 +30,13 @@ from wrenches_problem import (
 )
 
 NODES = 13
-SIGMAS = 1.959964  # of a normal number's middle 95 %
+SIGMAS = 1.959964  # half-width of a normal variable's central 95 %
 BASELINE = "strain's moments in four quarters and its jump at the middle, of the learned shapes"
 PLAIN = "one density of strain all along, of the learned shapes"
 
 
 def judge(material, file_shapes, how):
-    """All numbers of one way of reading."""
+    """All results for one way of reading, `how`."""
     half = len(file_shapes.pose) // 2
     learned, judged = file_shapes.take(slice(0, half)), file_shapes.take(slice(half, None))
     few = learned.take(slice(0, None, 5))
@@ -69,7 +69,7 @@ def judge(material, file_shapes, how):
 
 
 def positions(material, judged, used, posterior):
-    """How far positions are off where none was read, and the sum of squares (S,), mm²."""
+    """Statistics of position errors at unread stations, and sums of squares (S,), mm²."""
     at = posterior.at(judged.station, np.arange(len(used))[:, None])
     gap = at.position - judged.pose[..., :3, 3]
     cov = at.cov_position_world + ROUNDING**2 * np.eye(3)
@@ -92,7 +92,7 @@ def positions(material, judged, used, posterior):
 
 
 def wrenches(material, judged, found, least):
-    """How far wrenches are off, and their standard deviations over the least ones (S, 12)."""
+    """Statistics of wrench errors, and of standard deviations over the bounds `least` (S, 12)."""
     errors, stds = [], []
     for place, truth in ((0.5 * material.length, judged.middle), (material.length, judged.tip)):
         load = found.load(place, np.arange(len(truth)), frame="world")
@@ -120,7 +120,7 @@ def wrenches(material, judged, found, least):
 
 
 def table(found):
-    """The numbers as lines of text."""
+    """Results as lines of text."""
     lines = [
         f"{found['shapes']} shapes, coil at {found['readings']}, {found['seconds']:.0f} s of CPU"
     ]

@@ -1,4 +1,4 @@
-"""What can be known of a rod's wrenches at best: Cramér–Rao bounds, and search from the truth."""
+"""Bounds on estimates of a rod's wrenches: Cramér–Rao bounds, and least squares from the truth."""
 
 import time
 
@@ -8,15 +8,15 @@ from scipy.optimize import least_squares
 from glissando.geometry import se3
 from wrenches_problem import NOISE, equilibrium, exact
 
-RESTARTS = 5  # of the shapes that are farthest off, which are found again from the truth
+RESTARTS = 5  # shapes with the largest errors, which are solved again from the truth
 
 
 def cramer_rao(material, shapes, used):
-    """Least standard deviations (S, 12) of both wrenches, and of positions (S, M), m.
+    """Lower bounds of the standard deviations (S, 12) of both wrenches, and of positions (S, M), m.
 
-    By differences of the simulator's shapes at the truth. Readings of the base's pose, the rod and
-    gravity are taken as sure, and wrenches as normal with the variance of all of them: the bound of
-    van Trees. A position's is the root of its squared error's least mean.
+    Computed by finite differences of the simulator's shapes at the truth. The base's pose, the rod
+    and gravity are taken as known, and wrenches as normal with the variance over all shapes: the
+    van Trees bound. The bound of a position is the root of its least mean squared error.
     """
     var = np.concatenate([np.repeat([np.mean(w[:, :3] ** 2), np.mean(w[:, 3:] ** 2)], 3)
                           for w in (shapes.middle, shapes.tip)])  # fmt: skip
@@ -48,8 +48,8 @@ def cramer_rao(material, shapes, used):
 def least_squares_fit(material, shapes, coil, spread, i, *, from_truth):
     """Both wrenches of shape i (12,) by least squares on the simulator's shapes, and two costs.
 
-    The search begins at the true wrenches or at none. The costs are what is left at the truth and
-    at the minimum, with the spread (12,) that wrenches have.
+    The initial guess is the true wrenches or zero. The costs are those at the truth and at the
+    minimum, with a prior of standard deviations `spread` (12,) on the wrenches.
     """
     seen, place = coil.values[coil.time == i], coil.arclength[coil.time == i]
     back, near = se3.inverse(seen), equilibrium(material, shapes, i) if from_truth else None
@@ -70,7 +70,7 @@ def least_squares_fit(material, shapes, coil, spread, i, *, from_truth):
 
 
 def other_minima(material, shapes, coil, used, found, prior, squares):
-    """How far the estimate is from the minimum next to the truth, of the shapes farthest off."""
+    """Distance of the estimate from the minimum next to the truth, for the largest errors."""
     spread, out = np.sqrt(np.concatenate([prior.var_points[0], prior.var_tip])), []
     began = time.process_time()
     for i in np.argsort(squares)[-RESTARTS:]:

@@ -1,9 +1,8 @@
-"""Shape and wrenches of loaded rods beside a static least-squares fit, for docs/loads.md.
+"""Shape and wrenches of loaded rods against a static least-squares fit, for docs/loads.md.
 
-Both have the same readings at five stations and the same knowledge of the rod, of gravity and of
-how large wrenches are. The fit solves the simulator's boundary value problem anew for every
-difference, from no wrenches; errors are those of shapes that it finds. Processor time a shape, on
-one thread.
+Both have the same readings at five stations and the same rod, gravity and variance of wrenches. The
+fit solves the simulator's boundary value problem for every finite difference, from zero wrenches;
+errors are those of shapes for which the fit succeeds. Processor time per shape, on one thread.
 Usage: wrenches_peers.py --shapes FILE.csv [--count N] [--page]   (a steel rod like SoroSim's)
 """
 
@@ -41,7 +40,7 @@ PUBLISHED = [
 
 
 def measured(shapes, count):
-    """Rows of ours and of the fit: RMSE of positions (mm), processor time a shape (ms)."""
+    """Rows of ours and of the fit: RMSE of positions (mm), processor time per shape (ms)."""
     base = np.eye(4)
     base[:3, :3] = BODY
     material = Rod.of_tubes(
@@ -55,7 +54,7 @@ def measured(shapes, count):
     )
     spread = np.sqrt(np.concatenate([prior.var_points[0], prior.var_tip]))
     nodes, own = np.linspace(0.0, LENGTH, NODES), with_gravity(prior, judged.gravity)
-    estimate_static(own, nodes, [coil], count=count)  # compiled
+    estimate_static(own, nodes, [coil], count=count)  # warm-up: compiles kernels
     began = time.process_time()
     found = estimate_static(own, nodes, [coil], count=count)
     ours = found.at(judged.station, np.arange(count)[:, None]).position
@@ -66,7 +65,7 @@ def measured(shapes, count):
             loads, _ = least_squares_fit(material, judged, coil, spread, i, from_truth=False)
             shape = exact(material, judged.gravity[i], loads[:6], loads[6:])
             fitted[i] = shape.at(judged.station).pose[:, :3, 3]
-        except NoShapeError:  # a wrench on the way under which the rod buckles
+        except NoShapeError:  # the rod buckles under an intermediate wrench
             failed += 1
     seconds.append(time.process_time() - began)
     rows = []

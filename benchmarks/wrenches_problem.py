@@ -1,4 +1,4 @@
-"""Loaded rods of another group's solver, coil readings of them, and priors to compare."""
+"""Loaded rods of another group's solver, simulated coil readings, and priors to compare."""
 
 import csv
 from dataclasses import dataclass, replace
@@ -16,21 +16,21 @@ from glissando.simulation.mesh import Mesh
 from glissando.simulation.shape import Shape
 
 BODY = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])  # the file's tangent is body x, ours z
-NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])  # one standard deviation of each axis
-_LITTLE = 1.2e-4  # m and rad that a stiff rod strains in all: less leaves bent rods no digits
+NOISE = np.repeat([0.7e-3, np.radians(0.4)], [3, 2])  # standard deviation per axis, m and rad
+_LITTLE = 1.2e-4  # m, rad: std of a stiff rod's total strain; numerical precision sets the limit
 ROUNDING = 1e-4 / np.sqrt(12)  # m: the files have four decimals
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """S shapes: what is in the file.
+    """S shapes of a file.
 
     Attributes:
-        station: Arclengths (M,), m, the base left out.
-        pose: Poses (S, M, 4, 4) there.
-        gravity: Acceleration (S, 3), m/s², world.
-        middle: Wrench (S, 6) at half the length, world, about that point.
-        tip: Wrench (S, 6) at the tip.
+        station: Arclengths (M,) of the stations without the base, m.
+        pose: Poses (S, M, 4, 4) at the stations.
+        gravity: Gravity (S, 3) in the world frame, m/s².
+        middle: Wrenches (S, 6) at half the length, world axes, about that point.
+        tip: Wrenches (S, 6) at the tip, world axes, about the tip.
     """
 
     station: np.ndarray
@@ -40,13 +40,13 @@ class Shapes:
     tip: np.ndarray
 
     def take(self, rows):
-        """Some of the shapes."""
+        """Shapes with some of the rows."""
         others = (getattr(self, name)[rows] for name in ("pose", "gravity", "middle", "tip"))
         return Shapes(self.station, *others)
 
 
 def load_shapes(file, length):
-    """All shapes of a file in SoroSim's form."""
+    """Read all shapes of a file in SoroSim's form, for a rod of some length, m."""
     with file.open() as text:
         rows = list(csv.reader(text))
     if len(rows) < 14 or (len(rows) - 2) % 6 or len({len(row) for row in rows[2:]}) != 1:
@@ -69,7 +69,7 @@ def load_shapes(file, length):
 
 
 def mechanical_prior(material, shapes, error):
-    """What is known of the rod: its material, and how large wrenches were on the learned shapes."""
+    """Mechanical prior of the material, with the mean square of the wrenches of the shapes."""
     fields = {}
     for name, wrench in (("var_points", shapes.middle), ("var_tip", shapes.tip)):
         force, moment = np.mean(wrench[:, :3] ** 2), np.mean(wrench[:, 3:] ** 2)
@@ -89,15 +89,15 @@ def mechanical_prior(material, shapes, error):
 
 
 def with_gravity(prior, gravity):
-    """The prior of shapes under a gravity (S, 3) of their own."""
+    """Prior with the gravity (S, 3) of each shape."""
     return replace(prior, mechanics=replace(prior.mechanics, gravity=gravity))
 
 
 def solver_error(material, shapes):
-    """Density of strain's error (angular, 1/m) that explains how far the shapes are from ours.
+    """Density of the error of strain (angular, 1/m) that explains differences from the simulator.
 
-    White noise of density q on curvature moves a straight rod's cross-section at s sideways by a
-    variance of q s³/3 in each of two directions. The files' own rounding is taken off.
+    White noise of density q on curvature gives a straight rod's cross-section at s a lateral
+    variance of q s³/3 in each of two directions. The variance of the files' rounding is subtracted.
     """
     found = []
     for i in range(len(shapes.pose)):
@@ -110,7 +110,7 @@ def solver_error(material, shapes):
 
 
 def strain_priors(material, shapes):
-    """Priors that know no loads, of the learned shapes: with moments by place, and with one."""
+    """Priors on strain, without loads, fitted to shapes: by quarter with a jump, and uniform."""
     length = material.length
     edges = length * np.array([0.0, 0.25, 0.5, 0.75, 1.0])
     places = np.sort(np.concatenate([edges, [0.5 * length - 1e-6]]))
@@ -138,10 +138,10 @@ def strain_priors(material, shapes):
 
 
 def exact(material, gravity, middle, tip, start=None):
-    """The simulator's shape under these loads; the equilibrium near `start` where that is given.
+    """The simulator's shape under these loads; with `start`, the equilibrium nearest to it.
 
-    Wrenches that keep their direction may hold a soft rod where it would not stay by itself, and
-    the files have such shapes, which no loading from nothing leads to.
+    Under dead loads a soft rod may have equilibria that cannot be reached by increasing the load
+    from zero; the files contain such shapes.
     """
     half, length = 0.5 * material.length, material.length
     ends = [Wrench(s, w[:3], w[3:]) for s, w in ((half, middle), (length, tip))]
@@ -150,13 +150,13 @@ def exact(material, gravity, middle, tip, start=None):
 
 
 def equilibrium(material, shapes, i):
-    """The simulator's shape next to shape i of the file, under its loads."""
+    """The simulator's equilibrium nearest to shape i of the file, under its loads."""
     start = _carrying(material, shapes, i)
     return exact(material, shapes.gravity[i], shapes.middle[i], shapes.tip[i], start)
 
 
 def _carrying(material, shapes, i):
-    """The shape whose material carries what the loads of shape i make of where the file puts it."""
+    """Shape with the strain that balances the loads of shape i at the positions of the file."""
     length, station = material.length, np.append(0.0, shapes.station)
     pose = np.concatenate([material.base[None], shapes.pose[i]])
     place = CubicSpline(station, pose[:, :3, 3])
@@ -177,7 +177,7 @@ def _carrying(material, shapes, i):
 
 
 def read(shapes, first, how):
-    """Coil readings of all shapes, each of its own seed, and which stations (S, M) were read."""
+    """Coil readings of all shapes, seeded by number, and the mask (S, M) of stations read."""
     count = shapes.station.size
     used, time_, place, values = np.zeros((len(shapes.pose), count), dtype=bool), [], [], []
     for i, pose in enumerate(shapes.pose):
