@@ -42,7 +42,7 @@ MOTIONS = (  # bends, slide, s
 def motions() -> None:
     """Print the standard deviations of one rig's constants, play included, after each motion."""
     shown = [SHOWN[name] for name in SHOWN]
-    print("| bends | slide | s | " + " | ".join(told for told, _, _ in shown) + " |")
+    print("| bends | slide | s | " + " | ".join(label for label, _, _ in shown) + " |")
     print("|---|---|---|" + "---|" * len(shown))
     trials = [(f"{motion[0]} | {motion[1]}", motion, rigs.robot()) for motion in MOTIONS]
     shipped = load_robot("sliding700")
@@ -66,18 +66,18 @@ def main() -> int:
     for seed in seeds:
         trials.append(rigs.trial(seed))
         print(f"seed {seed}: NEES {trials[-1].nees:.1f}", file=sys.stderr, flush=True)
-    off, std = (np.array([getattr(t, name) for t in trials]) for name in ("off", "std"))
-    count, size = off.shape
+    errors, std = (np.array([getattr(t, name) for t in trials]) for name in ("off", "std"))
+    count, size = errors.shape
     print(f"{count} sessions, seeds {seeds[0]} to {seeds[-1]}, {rigs.LONGER:g} s each\n")
     print("| | RMS of errors | largest | stated std | squares by stated |\n|---|---|---|---|---|")
     good = True
-    for name, (told, unit, most) in SHOWN.items():
+    for name, (label, unit, most) in SHOWN.items():
         k = PARAMETERS.index(name)
-        each, said = unit * off[:, k], unit * np.sqrt(np.mean(std[:, k] ** 2))
-        ratio = np.mean((off[:, k] / std[:, k]) ** 2)
+        each, stated = unit * errors[:, k], unit * np.sqrt(np.mean(std[:, k] ** 2))
+        ratio = np.mean((errors[:, k] / std[:, k]) ** 2)
         rms, largest = np.sqrt(np.mean(each**2)), np.abs(each).max()
         good &= bool(largest < most)
-        print(f"| {told} | {rms:.2g} | {largest:.2g} | {said:.2g} | {ratio:.2f} |")
+        print(f"| {label} | {rms:.2g} | {largest:.2g} | {stated:.2g} | {ratio:.2f} |")
     nees = np.mean([t.nees for t in trials]) / size
     print(f"\nNEES by dimension {nees:.2f}; of such means", end="")
     for share in (0.998, 0.95):

@@ -1,7 +1,7 @@
 """Write docs/confidence.md: every number of that page is measured here.
 
 Some sections need the public recordings and take minutes each. Usage: confidence.py [--page FILE]
-[--told DIR]   (DIR/SECTION.txt, if it exists, replaces the output of a section's script)
+[--outputs DIR]   (DIR/SECTION.txt, if it exists, replaces the output of a section's script)
 """
 
 import argparse
@@ -163,11 +163,11 @@ millimetres and share inside 95 %:
 """
 
 
-def measured(section, told):
+def measured(section, outputs):
     """Output of a section's script, from an earlier run if there is one."""
-    before = told / f"{section}.txt" if told else None
-    if before and before.exists():
-        return before.read_text(encoding="utf-8").strip()
+    file = outputs / f"{section}.txt" if outputs else None
+    if file and file.exists():
+        return file.read_text(encoding="utf-8").strip()
     return printed(section, OPTIONS.get(section, []))
 
 
@@ -178,11 +178,11 @@ def printed(section, options):
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
 
-def varied(told):
+def varied(outputs):
     """Errors and coverage with numbers of the learned prior changed, a column per window."""
-    before = told / "varied.txt" if told else None
-    if before and before.exists():
-        return before.read_text(encoding="utf-8").strip()
+    file = outputs / "varied.txt" if outputs else None
+    if file and file.exists():
+        return file.read_text(encoding="utf-8").strip()
     columns = [dict(judged(printed("error_parts", each))) for each in VARIED.values()]
     rows = [f"| {prior} | {' | '.join(c[prior] for c in columns)} |" for prior in columns[0]]
     heads = [f"| prior | {' | '.join(VARIED)} |", "|---" * (len(VARIED) + 1) + "|"]
@@ -199,10 +199,10 @@ def judged(table):
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--page", type=Path, default=Path("docs/confidence.md"))
-    parser.add_argument("--told", type=Path, metavar="DIR")
+    parser.add_argument("--outputs", type=Path, metavar="DIR")
     options = parser.parse_args()
-    found = {section: measured(section, options.told) for section in SECTIONS}
-    found["varied"] = varied(options.told)
+    found = {section: measured(section, options.outputs) for section in SECTIONS}
+    found["varied"] = varied(options.outputs)
     options.page.write_text(TEXT.format(**found), encoding="utf-8")
     print(options.page.read_text(encoding="utf-8"))
 

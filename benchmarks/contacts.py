@@ -58,10 +58,10 @@ def robot():
 
 def coil(rng, shape, places):
     """Noisy coil readings of a shape at arclengths."""
-    off, roll = np.zeros((2, places.size, 6))
-    off[:, :5] = NOISE * rng.standard_normal((places.size, 5))
+    noise, roll = np.zeros((2, places.size, 6))
+    noise[:, :5] = NOISE * rng.standard_normal((places.size, 5))
     roll[:, 5] = rng.uniform(-np.pi, np.pi, places.size)
-    values = shape.at(places).pose @ se3.exp(off) @ se3.exp(roll)
+    values = shape.at(places).pose @ se3.exp(noise) @ se3.exp(roll)
     return CoilReadings(time=np.zeros(places.size), arclength=places, values=values, cov=NOISE**2)
 
 
@@ -80,13 +80,13 @@ def trial(seed, setup, way, touched):
     prior = replace(prior, mechanics=replace(prior.mechanics, gravity=gravity))
     place, size = rng.uniform(0.0, rod.length), np.exp(rng.uniform(np.log(0.1), 0.0)) * touched
     shape, force = pushed(rng, rod, gravity, place, size)
-    seen = coil(rng, shape, rod.length * WAYS[way])
+    readings = coil(rng, shape, rod.length * WAYS[way])
     grid = Grid(np.linspace(0.0, rod.length, NODES), [0.0])
-    scan = scan_contacts(estimate(prior, grid, [seen]), 0.0, std_force=STD_FORCE)
+    scan = scan_contacts(estimate(prior, grid, [readings]), 0.0, std_force=STD_FORCE)
     if not scan.detected or not touched:
         return [place / rod.length, size, scan.detected, *[np.nan] * 6]
     start = float(scan.arclength[scan.best])
-    found = locate_contact(prior, grid, [seen], start=start, std_force=STD_FORCE)
+    found = locate_contact(prior, grid, [readings], start=start, std_force=STD_FORCE)
     side = force / size
     std = float(np.sqrt(side @ found.cov_force @ side))
     miss = found.arclength - place
@@ -103,11 +103,11 @@ def trial(seed, setup, way, touched):
 
 def trials(seeds, setup, way, touched):
     """Trials (T, 9) of seeds, with a line of progress every few seconds."""
-    out, said = [], time.monotonic()
+    out, last_line = [], time.monotonic()
     for k, seed in enumerate(seeds):
         out.append(trial(seed, setup, way, touched))
-        if time.monotonic() - said > 5.0:
-            said = time.monotonic()
+        if time.monotonic() - last_line > 5.0:
+            last_line = time.monotonic()
             print(f"{way}, {'touched' if touched else 'untouched'}: {k + 1} of {len(seeds)}",
                   file=sys.stderr, flush=True)  # fmt: skip
     return np.array(out, dtype=float)
@@ -122,15 +122,15 @@ def share(hits):
 def summary(untouched, touched):
     """Detection rates with intervals, errors, and coverage of the standard deviations."""
     row = dict(zip(COLUMNS, touched.T, strict=True))
-    seen = row["found"] > 0.0
-    out = {"false_alarms": share(untouched[:, 2] > 0.0), "found": share(seen)}
+    detected = row["found"] > 0.0
+    out = {"false_alarms": share(untouched[:, 2] > 0.0), "found": share(detected)}
     for third in range(3):
-        here = (row["place"] * 3.0).astype(int) == third
-        out[f"found_third_{third + 1}"] = share(seen[here]) if here.any() else None
+        in_third = (row["place"] * 3.0).astype(int) == third
+        out[f"found_third_{third + 1}"] = share(detected[in_third]) if in_third.any() else None
     for name in ("miss", "off", "std_place", "std_force"):
-        out[name] = [float(np.quantile(row[name][seen], q)) for q in (0.5, 0.9)]
+        out[name] = [float(np.quantile(row[name][detected], q)) for q in (0.5, 0.9)]
     for name in ("z_place", "z_force"):
-        out[f"{name}_inside_95"] = float(np.mean(np.abs(row[name][seen]) < SIGMAS))
+        out[f"{name}_inside_95"] = float(np.mean(np.abs(row[name][detected]) < SIGMAS))
     return out
 
 

@@ -68,8 +68,8 @@ def registered(found):
     slope = np.concatenate([np.tile(np.eye(3), (len(place), 1, 1)), -se3.hat3(place)], axis=2)
     error = np.concatenate([e for e, _ in found])
     fit = np.linalg.lstsq(slope.reshape(-1, 6), error.ravel(), rcond=None)[0]
-    left = error - slope @ fit
-    return np.split(left, np.cumsum([len(e) for e, _ in found])[:-1])
+    residual = error - slope @ fit
+    return np.split(residual, np.cumsum([len(e) for e, _ in found])[:-1])
 
 
 def parts(run):
@@ -122,12 +122,12 @@ def variations(file, recording, window, use):
     for what, changes in VARIED.items():
         robot = varied(file, changes)
         run = run_estimate(recording, robot, window=window, use=use, truth=None)
-        told = pool(run.errors).summary()
+        summary = pool(run.errors).summary()
         yield {
             "prior": what,
-            "rmse": 1e3 * told["position_rmse"],
-            "inside": told["coverage95_position"],
-            "nees": told["nees_position"],
+            "rmse": 1e3 * summary["position_rmse"],
+            "inside": summary["coverage95_position"],
+            "nees": summary["nees_position"],
             "log_evidence": run.posterior.log_evidence,
             "converged": run.posterior.solve.converged,
         }

@@ -34,10 +34,10 @@ def main() -> None:
     lost = total = 0
     for run in range(runs):
         with tempfile.TemporaryDirectory() as folder:
-            gaps, came = gaps_and_frames(Path(folder) / "session")
-        lost, total = lost + sum(gaps), total + came + sum(gaps)
-        said = f"gaps of {', '.join(map(str, gaps))}" if gaps else "no gap"
-        print(f"run {run}: {came} came, {said}; load {os.getloadavg()[0]:.1f}", flush=True)
+            gaps, received = gaps_and_frames(Path(folder) / "session")
+        lost, total = lost + sum(gaps), total + received + sum(gaps)
+        gaps_text = f"gaps of {', '.join(map(str, gaps))}" if gaps else "no gap"
+        print(f"run {run}: {received} came, {gaps_text}; load {os.getloadavg()[0]:.1f}", flush=True)
     print(f"{lost} of {total} frames lost in {runs} sessions, on {os.cpu_count()} cores")
 
 

@@ -50,7 +50,7 @@ _OUTSIDE = {"allowed": (), "seen": []}
 _CHANGES = ("os.rename", "os.remove", "os.mkdir", "os.rmdir")
 
 
-def _heard(event, args):
+def _audit(event, args):
     """Audit hook that records changes of files outside the allowed folders."""
     if not _OUTSIDE["allowed"] or (event != "open" and event not in _CHANGES):
         return
@@ -65,7 +65,7 @@ def _heard(event, args):
                 _OUTSIDE["seen"].append(f"{event} {place}")
 
 
-sys.addaudithook(_heard)
+sys.addaudithook(_audit)
 
 
 @dataclass
@@ -179,13 +179,13 @@ def run(parser, seed, count, place):
 
 def _follow(tally, pipe, child, number):
     """Receive reports until the process ends; returns the next number."""
-    held = b""
+    buffer = b""
     while True:
         ready = select.select([pipe], [], [], BUSY * HANG)[0]
-        came = os.read(pipe, 1 << 16) if ready else b""
-        if not came:
+        data = os.read(pipe, 1 << 16) if ready else b""
+        if not data:
             break
-        *lines, held = (held + came).split(b"\n")
+        *lines, buffer = (buffer + data).split(b"\n")
         for line in lines:
             report = json.loads(line)
             tally.add(*report)

@@ -70,8 +70,8 @@ def recordings(data):
     for ((name, window, tips, took, took_filter), (nodes, lag)), found in zip(
         rows, zip(*runs, strict=True), strict=True
     ):
-        told = sorted(found, key=lambda each: each["latency"]["median"])[ROUNDS // 2]
-        times, (theirs, filtered) = told["latency"], tips
+        middle = sorted(found, key=lambda each: each["latency"]["median"])[ROUNDS // 2]
+        times, (theirs, filtered) = middle["latency"], tips
         their_tip, their_time = (filtered, took_filter) if lag == 1 else (theirs, took)
         if nodes != 5:
             their_tip, their_time = None, (None, None)
@@ -79,8 +79,8 @@ def recordings(data):
             f"| {name} {window[0]:g}–{window[1]:g} s | {nodes} | {lag} | "
             f"{number(times['median'], 1e3)} / {number(times['p99'], 1e3)} | "
             f"{number(their_time[0], 1, 0)} / {number(their_time[1], 1, 0)} | "
-            f"{number(tip(told['newest']), 1e3)} | {number(tip(told['lagged']), 1e3)} | "
-            f"{number(their_tip)} | {told['real_time_factor']:.1f} |"
+            f"{number(tip(middle['newest']), 1e3)} | {number(tip(middle['lagged']), 1e3)} | "
+            f"{number(their_tip)} | {middle['real_time_factor']:.1f} |"
         )
         print(lines[-1], *(number(each["latency"]["median"], 1e3) for each in found), flush=True)
     return lines

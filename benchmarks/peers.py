@@ -53,8 +53,8 @@ TUNED = {
 
 def uniform(problem, numbers):
     """Our uniform prior, with the parameters that GTSAM's has."""
-    loose = problem.base_std or 10.0  # a base that is read has no other prior
-    base = BaseVariance(np.full(6, loose**2), numbers.base_strain)
+    base_std = problem.base_std or 10.0  # a base that is read has no other prior
+    base = BaseVariance(np.full(6, base_std**2), numbers.base_strain)
     return SeparablePrior(numbers.psd, 1.0, base, base_pose=problem.base_pose)
 
 
@@ -81,10 +81,10 @@ def judged(problem, place, cov=None):
     """Median error and RMSE (mm), and the share inside the 95 % ellipsoid, None without `cov`."""
     error = place - problem.query_position
     size = 1e3 * np.linalg.norm(error, axis=1)
-    told = {"median": np.median(size), "rmse": np.sqrt(np.mean(size**2)), "inside": None}
+    row = {"median": np.median(size), "rmse": np.sqrt(np.mean(size**2)), "inside": None}
     if cov is not None:
-        told["inside"] = np.mean(surprise(problem, error, cov)[0] <= chi2.ppf(0.95, 3))
-    return told
+        row["inside"] = np.mean(surprise(problem, error, cov)[0] <= chi2.ppf(0.95, 3))
+    return row
 
 
 def surprise(problem, error, cov):
@@ -160,10 +160,10 @@ def accuracy(problem):
     return {name: judged(problem, *solve(problem)) for name, solve in methods(problem).items()}
 
 
-def accuracy_row(name, told):
+def accuracy_row(name, row):
     """Row of the table of accuracy without its last cell, the time."""
-    inside = "" if told["inside"] is None else f"{100 * told['inside']:.1f} %"
-    return f"| {name} | {told['rmse']:.2f} | {told['median']:.2f} | {inside} |"
+    inside = "" if row["inside"] is None else f"{100 * row['inside']:.1f} %"
+    return f"| {name} | {row['rmse']:.2f} | {row['median']:.2f} | {inside} |"
 
 
 def timed(solvers, problem, rounds):
@@ -230,8 +230,8 @@ def main():
         first = problem.first(EACH)
         took = timed(methods(first), first, options.rounds)
         rows[name] = [
-            f"{accuracy_row(method, told)} {took[method]:.2f} |"
-            for method, told in tables[name].items()
+            f"{accuracy_row(method, row)} {took[method]:.2f} |"
+            for method, row in tables[name].items()
         ]
     draw(options.page.with_suffix(".png"), tables, far, times)
     options.page.write_text(

@@ -73,12 +73,12 @@ ROD_NOISE = np.log10([0.7e-3, np.radians(0.4)])
 def steel_rods(numbers):
     """Problem of numbered shapes of the steel rod, with four noisy poses each, seeded by number."""
     poses, s = shapes.load_shapes(), shapes.STATIONS
-    asked = np.setdiff1d(np.arange(1, s.size), READ)
+    queried = np.setdiff1d(np.arange(1, s.size), READ)
     read = []
     for number in numbers:
         noise = np.power(10.0, ROD_NOISE)[[0, 0, 0, 1, 1, 1]]
-        off = noise * np.random.default_rng(number).standard_normal((len(READ), 6))
-        read.append(poses[number, READ] @ se3.exp(off))
+        noise_twist = noise * np.random.default_rng(number).standard_normal((len(READ), 6))
+        read.append(poses[number, READ] @ se3.exp(noise_twist))
     count = len(numbers)
     return Problem(
         "steel rod",
@@ -89,9 +89,9 @@ def steel_rods(numbers):
         np.repeat(np.arange(count), len(READ)),
         np.tile(s[READ], count),
         np.concatenate(read),
-        np.repeat(np.arange(count), asked.size),
-        np.tile(s[asked], count),
-        poses[list(numbers)][:, asked][..., :3, 3].reshape(-1, 3),
+        np.repeat(np.arange(count), queried.size),
+        np.tile(s[queried], count),
+        poses[list(numbers)][:, queried][..., :3, 3].reshape(-1, 3),
         shapes.ROUNDING,
     )
 

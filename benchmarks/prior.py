@@ -34,8 +34,8 @@ def judged(shape, arm, seed):
         base = replace(known.base, strain=factor * known.base.strain)
         psd = factor * known.psd_strain_arclength
         prior = replace(known, psd_strain_arclength=psd, base=base)
-        told = pool(scenes.trial(scene, seed, prior).errors).summary()
-        rows.append([told[k] for k in ("nees_position", "coverage95_position", "position_rmse")])
+        summary = pool(scenes.trial(scene, seed, prior).errors).summary()
+        rows.append([summary[k] for k in ("nees_position", "coverage95_position", "position_rmse")])
     return rows
 
 

@@ -111,12 +111,12 @@ def coils(bodies, read, rng):
     streams = []
     for body, stream in enumerate(bodies.streams):
         kept = np.flatnonzero(read == body)
-        mine = stream.select(bodies.row[body, kept])
+        own = stream.select(bodies.row[body, kept])
         roll = np.zeros((kept.size, 6))
         roll[:, 5] = rng.uniform(-np.pi, np.pi, kept.size)
-        fields = {"time": mine.time, "arclength": mine.arclength, "mount": mine.mount}
+        fields = {"time": own.time, "arclength": own.arclength, "mount": own.mount}
         name = f"coil at {stream.label}"
-        values = mine.values @ se3.exp(roll)
+        values = own.values @ se3.exp(roll)
         streams.append(CoilReadings(**fields, values=values, cov=STD[:5] ** 2, name=name))
     return [r for r in streams if len(r)]
 
@@ -216,20 +216,20 @@ def against_fixed(bodies, arms, arm, truth):
     if arm == "fixed":
         return None
     truth = truth & unread(bodies, [arms["fixed"]])
-    (mine, time), (fixed, _) = (chosen(bodies, arms[name], truth) for name in (arm, "fixed"))
-    return relative_change(time, mine, fixed, np.random.default_rng(SEED))
+    (own, time), (fixed, _) = (chosen(bodies, arms[name], truth) for name in (arm, "fixed"))
+    return relative_change(time, own, fixed, np.random.default_rng(SEED))
 
 
 def summary(errors):
     """Summary of pooled errors: RMSE (m, rad), coverage and NEES."""
-    told = errors.summary()
+    pooled = errors.summary()
     return {
         "samples": int(errors.position.size),
-        "position_rmse": told["position_rmse"],
-        "rotation_rmse": told["rotation_rmse"],
-        "inside_95": told["coverage95_position"],
-        "nees_position": told["nees_position"],
-        "nees_rotation": told["nees_rotation"],
+        "position_rmse": pooled["position_rmse"],
+        "rotation_rmse": pooled["rotation_rmse"],
+        "inside_95": pooled["coverage95_position"],
+        "nees_position": pooled["nees_position"],
+        "nees_rotation": pooled["nees_rotation"],
     }
 
 

@@ -79,27 +79,27 @@ def worker(name, data):
     _, _, robot, recording, window, nodes = TASKS[name]
     recording, robot = load_recording(Path(data) / recording), load_robot(robot)
     if nodes is None:
-        took = []
+        seconds = []
         for _ in range(1 + WARM):
             run = run_estimate(recording, robot, window=window, use=None, truth=None)
-            took.append(run.posterior.solve.seconds["total"])
+            seconds.append(run.posterior.solve.seconds["total"])
             del run  # frees its memory for the next run
-        return took
+        return seconds
     readings, _, _ = chosen_streams(recording, robot, window, None, None)
     smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=nodes)
-    took, since = [], -np.inf
+    seconds, since = [], -np.inf
     for now in np.linspace(*window, round((window[1] - window[0]) * robot.time_rate) + 1):
         arrived = [r.select((r.time > since) & (r.time <= now)) for r in readings]
         start = time.process_time()
         for stream in filter(len, arrived):
             smoother.add(stream)
         smoother.advance(float(now))
-        took.append(time.process_time() - start)
+        seconds.append(time.process_time() - start)
         since = now
-    return took
+    return seconds
 
 
-def told(name, seconds):
+def _reported(name, seconds):
     """Reported times of a run: of the first and later estimates, or of updates."""
     if TASKS[name][-1] is None:
         return {"first, s": seconds[0], "warm, s": float(np.median(seconds[1:]))}
@@ -140,7 +140,9 @@ def main():
     for turn in range(options.rounds):
         for name in options.only:
             order = list(programs)[:: 1 if turn % 2 == 0 else -1]
-            found[name].append({who: told(name, programs[who](options, name)) for who in order})
+            found[name].append(
+                {who: _reported(name, programs[who](options, name)) for who in order}
+            )
             print(f"round {turn + 1}, {name}: {found[name][-1]}", file=sys.stderr, flush=True)
     print("\n".join(table(found)))
     if options.json:

@@ -165,9 +165,9 @@ def hermite(shape):
     known = np.concatenate([shape.pose[:1], shape.coil])
     s, at = STATIONS[np.concatenate([[0], shape.stops])], STATIONS[shape.unread]
     place, tangent = known[:, :3, 3], known[:, :3, 2]
-    told = CubicHermiteSpline(s, place, tangent)(np.minimum(at, s[-1]))
-    told += np.maximum(at - s[-1], 0.0)[:, None] * tangent[-1]
-    return np.linalg.norm(told - shape.pose[shape.unread, :3, 3], axis=1)
+    predicted = CubicHermiteSpline(s, place, tangent)(np.minimum(at, s[-1]))
+    predicted += np.maximum(at - s[-1], 0.0)[:, None] * tangent[-1]
+    return np.linalg.norm(predicted - shape.pose[shape.unread, :3, 3], axis=1)
 
 
 def summary(judged, where=True):
@@ -188,11 +188,11 @@ def summary(judged, where=True):
     return out
 
 
-def row(name, told):
+def row(name, values):
     """Row of the table."""
-    shares = ["{:.1f} ({:.1f}–{:.1f})".format(*(100 * v for v in told[k])) for k in LEVELS]
-    errors = ["{:.2f} / {:.2f}".format(*told[k]) for k in ("ours", "hermite")]
-    cells = [name, str(told["stations"]), *shares, f"{told['nees']:.2f}", *errors]
+    shares = ["{:.1f} ({:.1f}–{:.1f})".format(*(100 * v for v in values[k])) for k in LEVELS]
+    errors = ["{:.2f} / {:.2f}".format(*values[k]) for k in ("ours", "hermite")]
+    cells = [name, str(values["stations"]), *shares, f"{values['nees']:.2f}", *errors]
     return f"| {' | '.join(cells)} |"
 
 

@@ -43,13 +43,17 @@ def squared(newest, tip):
     return float(error @ np.linalg.solve(newest.cov[-1, :3, :3], error))
 
 
-def heard(smoother, rng, tip, time):
+def updated(smoother, rng, tip, time):
     """Newest state after a reading of the tip."""
     wobble = np.append(np.sqrt(COV) * rng.standard_normal(5), rng.uniform(-np.pi, np.pi))
-    seen = tip @ se3.exp(np.append(wobble[:5], 0.0)) @ se3.exp(np.append(np.zeros(5), wobble[5]))
+    measured = (
+        tip @ se3.exp(np.append(wobble[:5], 0.0)) @ se3.exp(np.append(np.zeros(5), wobble[5]))
+    )
     place = np.full(1, smoother.arclength[-1])
     smoother.add(
-        CoilReadings(time=np.full(1, time), arclength=place, values=seen[None], cov=COV, name="tip")
+        CoilReadings(
+            time=np.full(1, time), arclength=place, values=measured[None], cov=COV, name="tip"
+        )
     )
     return smoother.advance(time)
 
@@ -61,14 +65,14 @@ def judge(robot, sessions, pauses, first_seed):
         rng = np.random.default_rng([first_seed, i])
         tip, smoother = arc(rng, robot.length), FixedLagSmoother(robot.prior, robot.arclength_nodes)
         for k in range(UPDATES):
-            newest = heard(smoother, rng, tip, k * STEP)
+            newest = updated(smoother, rng, tip, k * STEP)
         found[i, :, 0] = squared(newest, tip)
         for j, pause in enumerate(pauses):
             after, start = deepcopy(smoother), smoother.time + pause
             other = arc(rng, robot.length)
             found[i, j, 1] = squared(after.advance(start), other)
             for k in range(1, 6):
-                newest = heard(after, rng, other, start + k * STEP)
+                newest = updated(after, rng, other, start + k * STEP)
                 if k in (1, 5):
                     found[i, j, 2 + (k == 5)] = squared(newest, other)
             refused += sum(sum(count.values()) for count in after.dropped.values())

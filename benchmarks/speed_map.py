@@ -140,17 +140,17 @@ def show(cells):
                 f"| {1e3 * first['tip_speed']:.0f} mm/s ({d:g} s) | {first['seeds']} "
                 f"| {fixed:.1f} | {row} |"
             )
-    told = rule(cells)
+    ranges = rule(cells)
     print("\nA pass is the body's length slid while the robot moves from shape to shape.")
-    if told["near"] is not None:
-        best, least = told["change_near"]
-        print(f"Up to {told['near']:.2g} passes sliding pays: {best:.0f} to {least:.0f} %.")
-    if told["costs"] is not None:
-        first, last = told["costs"]
-        print(f"Between {first:.2g} and {last:.2g} it can cost, up to {told['worst']:+.0f} %.")
-    if told["far"] is not None:
-        best, least = told["change_far"]
-        print(f"From {told['far']:.2g} passes on it pays: {best:.0f} to {least:.0f} %.")
+    if ranges["near"] is not None:
+        best, least = ranges["change_near"]
+        print(f"Up to {ranges['near']:.2g} passes sliding pays: {best:.0f} to {least:.0f} %.")
+    if ranges["costs"] is not None:
+        first, last = ranges["costs"]
+        print(f"Between {first:.2g} and {last:.2g} it can cost, up to {ranges['worst']:+.0f} %.")
+    if ranges["far"] is not None:
+        best, least = ranges["change_far"]
+        print(f"From {ranges['far']:.2g} passes on it pays: {best:.0f} to {least:.0f} %.")
 
 
 def draw(cells, path):

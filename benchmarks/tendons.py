@@ -119,13 +119,13 @@ def main() -> int:
     options = parser.parse_args()
     rows = _read(options.train)
     robot = load_robot(options.robot) if options.robot else _robot_of(rows.names)
-    left = np.array(
+    left_out = np.array(
         [bool(options.leave_out) and options.leave_out in name for name in rows.pattern]
     )
-    judged = _read(options.judge) if options.judge else rows.take(left)
+    judged = _read(options.judge) if options.judge else rows.take(left_out)
     if judged.names != rows.names or not len(judged.tip):
         raise GlissandoError("Nothing to judge: give --judge a file of the same robot.")
-    began, used = time.process_time(), rows.take(~left)
+    began, used = time.process_time(), rows.take(~left_out)
     data = TendonData.of(used.displacement, used.tip, _blocks(used.pattern))
     learned = learn_tendons(robot, data, lambda text: print(text, file=sys.stderr, flush=True))
     result = {

@@ -25,7 +25,7 @@ def cramer_rao(material, shapes, used):
     for i in range(len(shapes.pose)):
         loads = np.concatenate([shapes.middle[i], shapes.tip[i]])
         truth, gravity = equilibrium(material, shapes, i), shapes.gravity[i]
-        here, *moved = (
+        true_pose, *moved = (
             shape.at(shapes.station).pose
             for shape in [
                 truth,
@@ -36,7 +36,7 @@ def cramer_rao(material, shapes, used):
             ]
         )
         slope = np.stack(
-            [se3.log(se3.inverse(here) @ m) / h for m, h in zip(moved, steps, strict=True)], -1
+            [se3.log(se3.inverse(true_pose) @ m) / h for m, h in zip(moved, steps, strict=True)], -1
         )
         white = (slope[used[i], :5] / NOISE[:, None]).reshape(-1, 12)
         cov = np.linalg.inv(white.T @ white + np.diag(1.0 / var))
@@ -51,8 +51,8 @@ def least_squares_fit(material, shapes, coil, spread, i, *, from_truth):
     The initial guess is the true wrenches or zero. The costs are those at the truth and at the
     minimum, with a prior of standard deviations `spread` (12,) on the wrenches.
     """
-    seen, place = coil.values[coil.time == i], coil.arclength[coil.time == i]
-    back, near = se3.inverse(seen), equilibrium(material, shapes, i) if from_truth else None
+    measured, place = coil.values[coil.time == i], coil.arclength[coil.time == i]
+    back, near = se3.inverse(measured), equilibrium(material, shapes, i) if from_truth else None
 
     def residual(part):
         loads = part * spread

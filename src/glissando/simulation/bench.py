@@ -120,11 +120,11 @@ class Bench:
         rod = self.rod
         if flaws.set_curvature > 0.0:
             rng = np.random.default_rng([seed, 1])
-            bent = SmoothField.draw(rng, 1, 2, flaws.set_length)
+            curvature = SmoothField.draw(rng, 1, 2, flaws.set_length)
 
             def rest(arclength: Array) -> Array:
                 strain = np.array(self.rod.rest(arclength))
-                strain[:, 3:5] += flaws.set_curvature * bent(arclength[:, None])
+                strain[:, 3:5] += flaws.set_curvature * curvature(arclength[:, None])
                 return strain
 
             rod = replace(rod, rest_strain=rest)
@@ -176,12 +176,12 @@ def _bench(table: Table, length: float, rest_strain: Array, base: Array) -> Benc
 
 
 def _places(table: Table, key: str, length: float) -> Array:
-    given = table.peek(key)
-    if not isinstance(given, list) or not given:
-        raise table.fail(key, f"is {given!r}; give a list of places in metres.")
-    places = table.vector(key, len(given), pairs=False)
+    listed = table.peek(key)
+    if not isinstance(listed, list) or not listed:
+        raise table.fail(key, f"is {listed!r}; give a list of places in metres.")
+    places = table.vector(key, len(listed), pairs=False)
     if np.any(places < 0.0) or np.any(places > length) or np.unique(places).size < places.size:
-        raise table.fail(key, f"is {given}; give each place once, 0 to {length:g} m.")
+        raise table.fail(key, f"is {listed}; give each place once, 0 to {length:g} m.")
     return places
 
 
@@ -243,13 +243,13 @@ def _stage(table: Table, key: str) -> tuple[SlideLimits, float]:
 
 
 def _imperfections(table: Table) -> Imperfections:
-    given: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for name, default in vars(Imperfections()).items():
         if name == "roll":
-            given["roll"] = table.text("roll", default, ROLLS)
+            values["roll"] = table.text("roll", default, ROLLS)
         elif isinstance(default, np.ndarray):
-            given[name] = table.vector(name, default.size, default)
+            values[name] = table.vector(name, default.size, default)
         else:
-            given[name] = table.number(name, default, positive=False)
+            values[name] = table.number(name, default, positive=False)
     table.close()
-    return Imperfections(**given)
+    return Imperfections(**values)

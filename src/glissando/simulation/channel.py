@@ -41,19 +41,19 @@ def poses_in(channel: Tendon, motion: Motion | DynamicMotion, travel: Array, tim
             for each in motion.strains(instants)
         ]
     )
-    speed = np.linalg.norm(_along(channel, s, strain), axis=-1)
-    way = cumulative_simpson(speed, x=s, initial=0.0)
-    inside = np.clip(travel, 0.0, way[which, -1])
-    behind = [np.interp(x, way[k], s - way[k]) for x, k in zip(inside, which, strict=True)]
-    place = np.clip(inside + behind, 0.0, length)
+    speed = np.linalg.norm(_tangent(channel, s, strain), axis=-1)
+    lengths = cumulative_simpson(speed, x=s, initial=0.0)
+    inside = np.clip(travel, 0.0, lengths[which, -1])
+    offset = [np.interp(x, lengths[k], s - lengths[k]) for x, k in zip(inside, which, strict=True)]
+    place = np.clip(inside + offset, 0.0, length)
     at = motion.at(place, time)
-    tangent = _along(channel, place, at.strain)
+    tangent = _tangent(channel, place, at.strain)
     axis = tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
     position = channel.path(place)[0] + (travel - inside)[:, None] * axis
     return at.pose @ se3.pose(se3.least_turn(axis), position)
 
 
-def _along(channel: Tendon, arclength: Array, strain: Array) -> Array:
+def _tangent(channel: Tendon, arclength: Array, strain: Array) -> Array:
     """Tangents (…, P, 3), not normalised, of a channel at arclengths (P,), in body frames."""
     place, slope = channel.path(arclength)
     return strain[..., :3] + np.cross(strain[..., 3:], place) + slope

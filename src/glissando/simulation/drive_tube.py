@@ -44,26 +44,29 @@ class DriveTube:
         """
         if self.stiffness <= 0.0:
             return np.array(motor)
-        (p0, p1, p2, p3, p4), (v0, v1, v2, v3, v4) = self._onwards(step).tolist()
-        place, speed, way = float(motor[0]), 0.0, 0.0
+        (p0, p1, p2, p3, p4), (v0, v1, v2, v3, v4) = self._transition(step).tolist()
+        place, speed, direction = float(motor[0]), 0.0, 0.0
         coil, moves = [place], pairwise(motor.tolist())
         for before, after in moves:
-            if way == 0.0 and abs(self.stiffness * (after - place)) > self.stiction * self.friction:
-                way = 1.0 if after > place else -1.0
-            if way != 0.0:
+            if (
+                direction == 0.0
+                and abs(self.stiffness * (after - place)) > self.stiction * self.friction
+            ):
+                direction = 1.0 if after > place else -1.0
+            if direction != 0.0:
                 rate = (after - before) / step
                 place, speed = (
-                    p0 * place + p1 * speed + p2 * before + p3 * rate + p4 * way,
-                    v0 * place + v1 * speed + v2 * before + v3 * rate + v4 * way,
+                    p0 * place + p1 * speed + p2 * before + p3 * rate + p4 * direction,
+                    v0 * place + v1 * speed + v2 * before + v3 * rate + v4 * direction,
                 )
-                if speed * way <= 0.0:
-                    pull = self.stiffness * (after - place)
-                    speed, stays = 0.0, abs(pull) <= self.stiction * self.friction
-                    way = 0.0 if stays else float(np.sign(pull))
+                if speed * direction <= 0.0:
+                    force = self.stiffness * (after - place)
+                    speed, sticks = 0.0, abs(force) <= self.stiction * self.friction
+                    direction = 0.0 if sticks else float(np.sign(force))
             coil.append(place)
         return np.array(coil)
 
-    def _onwards(self, step: float) -> Array:
+    def _transition(self, step: float) -> Array:
         """Transition matrix (2, 5) of a step to the coil's displacement and speed.
 
         Columns are displacement and speed of the coil, of the motor, and the direction of sliding.

@@ -26,7 +26,7 @@ _ENDS = np.concatenate([[-1.0], _NODES, [1.0]])
 _INNER = np.sqrt(0.6) * np.array([-1.0, 0.0, 1.0])  # the three Gauss points of a Magnus step
 
 
-def _at(x: Array) -> Array:
+def _interpolation(x: Array) -> Array:
     """Matrix (…, 12) from values at an element's points to values at x (…) in [−1, 1]."""
     return legendre.legvander(x, _COUNT - 1) @ _TO_MODES
 
@@ -41,7 +41,7 @@ def _magnus_points(ends: Array) -> Array:
     """Matrix (P − 1, 3, 12) from values at the points to three points between ends (P,)."""
     middle, half = 0.5 * (ends[1:] + ends[:-1]), 0.5 * np.diff(ends)
     points = middle[:, None] + half[:, None] * _INNER
-    return _at(points.ravel()).reshape(*points.shape, _COUNT)
+    return _interpolation(points.ravel()).reshape(*points.shape, _COUNT)
 
 
 _INTEGRALS, _STEPS = _integrals(), _magnus_points(_ENDS)
@@ -125,7 +125,7 @@ class Mesh:
     def interpolate(self, values: Array, arclength: Array) -> Array:
         """Values (M, D) at arclengths (M,), each from its own `values` (M, G, D) at the points."""
         element, rows = self.element_of(arclength), np.arange(arclength.size)
-        weights = _at(self._local(arclength, element))
+        weights = _interpolation(self._local(arclength, element))
         return np.einsum("mi,mid->md", weights, self._split(values)[rows, element])
 
     def _local(self, arclength: Array, element: np.ndarray) -> Array:
@@ -160,6 +160,6 @@ class Mesh:
         half = 0.5 * np.diff(self.edges)[element]
         for low, high in pairwise(ends):
             points = 0.5 * (high + low)[:, None] + 0.5 * (high - low)[:, None] * _INNER
-            inner = np.einsum("mpn,mnj->mpj", _at(points), values)
+            inner = np.einsum("mpn,mnj->mpj", _interpolation(points), values)
             pose = pose @ se3.exp(magnus(inner, ((high - low) * half)[:, None]))
         return pose

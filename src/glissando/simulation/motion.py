@@ -85,8 +85,8 @@ def shortening(mesh: Mesh, strain: Array, tendons: Sequence[Tendon]) -> Array:
         place, slope = tendon.path(points)
         along = strain[..., :3] + np.cross(strain[..., 3:], place) + slope
         straight = np.linalg.norm(STRAIGHT[:3] + slope, axis=-1)
-        lost = straight - np.linalg.norm(along, axis=-1)
-        columns.append(lost @ (mesh.weights * (points < tendon.end)))
+        shortened = straight - np.linalg.norm(along, axis=-1)
+        columns.append(shortened @ (mesh.weights * (points < tendon.end)))
     return np.stack(columns, axis=-1)
 
 

@@ -81,8 +81,8 @@ def simulate(
     motion: Motion | DynamicMotion
     if dynamic:
         scenario, last = bench.scenario(shape)
-        lasts = duration or max(path.duration, last)
-        motion = bench.move_dynamically(scenario, flaws, seed, lasts)
+        seconds = duration or max(path.duration, last)
+        motion = bench.move_dynamically(scenario, flaws, seed, seconds)
     else:
         motion = bench.move(bench.shape(shape), flaws, seed)
     return simulate_session(
@@ -140,8 +140,8 @@ def slide_path(
         return SlidePath.hold(options.get("at", 0.0), duration or _HOLD, stage)
     if slide not in _OPTIONS:
         return read_slide(Path(slide), stage, bench.rod.length + bench.coil_offset)
-    stage, usual = (bench.full_slide, 1) if slide == "traverse" else (stage, 3)
-    cycles = options.get("cycles", usual)
+    stage, default_cycles = (bench.full_slide, 1) if slide == "traverse" else (stage, 3)
+    cycles = options.get("cycles", default_cycles)
     if cycles != int(cycles):
         raise SimulationError(f"{cycles:g} cycles cannot be; give a whole number.")
     return SlidePath.oscillate(

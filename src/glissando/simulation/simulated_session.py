@@ -70,10 +70,13 @@ class Session(ShortRepr):
         """
         coil = self.coil.sensor.in_frame(self.coil.values, self.T_wt)
         rows = replace(self.coil, values=coil)
-        return [replace(s, rows=rows, frame="world") if s.name == "coil" else s for s in self._own]
+        return [
+            replace(s, rows=rows, frame="world") if s.name == "coil" else s
+            for s in self._recorded_streams
+        ]
 
     @property
-    def _own(self) -> list[Stream]:
+    def _recorded_streams(self) -> list[Stream]:
         """Streams as recorded, with the coil in the tracker's frame."""
         settings: dict[str, Any] = {"keep_repeats": True, "frame": "tracker"}
         streams = [Stream("coil", self.coil, channel=self.channel, **settings)]
@@ -121,20 +124,20 @@ def simulate_session(
             imperfections are too large.
     """
     flaws = bench.flaws if flaws is None else flaws
-    lasts = max(path.duration, float(motion.time[-1])) if duration is None else duration
-    if not 1.0 / COIL_RATE <= lasts <= _LONGEST:
+    seconds = max(path.duration, float(motion.time[-1])) if duration is None else duration
+    if not 1.0 / COIL_RATE <= seconds <= _LONGEST:
         raise SimulationError(
-            f"A session of {lasts:g} s cannot be; give {1.0 / COIL_RATE:g} to {_LONGEST:,.0f} s."
+            f"A session of {seconds:g} s cannot be; give {1.0 / COIL_RATE:g} to {_LONGEST:,.0f} s."
         )
     if seed < 0:
         raise SimulationError(f"Seed {seed} cannot be; give a whole number from 0 up.")
     _require_coil_on_robot(bench, path)
     coil_noise, *mocap_noise, pull_noise = np.random.default_rng(seed).spawn(2 + bench.truth.size)
-    time = np.arange(0.0, lasts + 1e-9, 1.0 / COIL_RATE)
-    sits = bench.coil_offset, bench.tracker
-    beside = Tendon.in_channel(channel, bench.rod.length) if channel else None
-    coil = coil_rows(motion, path, time, *sits, flaws, coil_noise, beside)
-    time = np.arange(0.0, lasts + 1e-9, 1.0 / MOCAP_RATE)
+    time = np.arange(0.0, seconds + 1e-9, 1.0 / COIL_RATE)
+    placement = bench.coil_offset, bench.tracker
+    channel_tendon = Tendon.in_channel(channel, bench.rod.length) if channel else None
+    coil = coil_rows(motion, path, time, *placement, flaws, coil_noise, channel_tendon)
+    time = np.arange(0.0, seconds + 1e-9, 1.0 / MOCAP_RATE)
     mocap = {
         f"mocap_{1e3 * s:g}": mocap_rows(motion, float(s), time, flaws, noise)
         for s, noise in zip(bench.truth, mocap_noise, strict=True)
@@ -142,22 +145,22 @@ def simulate_session(
     if not all(np.all(np.isfinite(rows.values)) for rows in (coil, *mocap.values())):
         raise SimulationError("Imperfections so large leave readings that are no numbers.")
     std = np.repeat(np.maximum([flaws.mocap, flaws.mocap_angle], 1e-6), 3) / np.sqrt(3.0)
-    time = np.arange(0.0, lasts + 1e-9, 1.0 / TENDON_RATE)
+    time = np.arange(0.0, seconds + 1e-9, 1.0 / TENDON_RATE)
     pulled = _tendon_rows(bench, motion, time, pull_noise) if tendons else None
-    inertial = _inertial(bench, motion, lasts, flaws, seed)
+    inertial = _inertial(bench, motion, seconds, flaws, seed)
     inertial_std = max(flaws.gyro, 1e-6), max(flaws.accelerometer, 1e-6)
-    seen = coil, mocap, bench.tracker, std, pulled
-    return Session(name, lasts, motion, path, *seen, *inertial, inertial_std, channel)
+    readings = coil, mocap, bench.tracker, std, pulled
+    return Session(name, seconds, motion, path, *readings, *inertial, inertial_std, channel)
 
 
 def _inertial(
-    bench: Bench, motion: Motion | DynamicMotion, lasts: float, flaws: Imperfections, seed: int
+    bench: Bench, motion: Motion | DynamicMotion, seconds: float, flaws: Imperfections, seed: int
 ) -> tuple[dict[str, Rows], dict[str, Rows]]:
     """Rows of gyroscopes and accelerometers by name; empty for a quasi-static motion."""
     gyros: dict[str, Rows] = {}
     accelerometers: dict[str, Rows] = {}
     if isinstance(motion, DynamicMotion):
-        time = np.arange(0.0, lasts + 1e-9, 1.0 / INERTIAL_RATE)
+        time = np.arange(0.0, seconds + 1e-9, 1.0 / INERTIAL_RATE)
         draws = np.random.default_rng([seed, 2]).spawn(bench.inertial.size)
         for s, noise in zip(bench.inertial, draws, strict=True):
             rows = inertial_rows(motion, float(s), time, flaws, noise)
@@ -195,7 +198,9 @@ def write_session(session: Session, folder: Path, robot: str | Path, **more: Any
     """
     with new_folder(folder, SimulationError) as building:
         frames = {"tracker": session.T_wt}
-        write_streams(building, session.name, session._own, robot=robot, frames=frames, **more)
+        write_streams(
+            building, session.name, session._recorded_streams, robot=robot, frames=frames, **more
+        )
         path = session.path
         knots = np.column_stack([path.time, path.displacement, path.speed])
         write_table(building / "slide_path.csv", ["time", "displacement", "speed"], knots)

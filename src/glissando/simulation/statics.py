@@ -53,10 +53,10 @@ def solve_shape(
     require_possible(rod, tendons, loads)
     breaks = [0.0, rod.length, *(t.end for t in tendons), *(w.arclength for w in loads.wrenches)]
 
-    def on(mesh: Mesh) -> Equilibrium:
+    def equilibrium_on(mesh: Mesh) -> Equilibrium:
         return replace(Equilibrium.of(rod, tendons, loads, mesh), stable=stable)
 
-    return settle(on, rod, breaks, start=start)
+    return settle(equilibrium_on, rod, breaks, start=start)
 
 
 def settle(
@@ -79,7 +79,7 @@ def settle(
     Raises:
         NoShapeError: The rod buckles during loading, or the iteration does not converge.
     """
-    largest, guess, given = rod.length / 2.0, None, mesh is not None
+    largest, guess, fixed = rod.length / 2.0, None, mesh is not None
     if mesh is None and start is not None and start.mesh.has(breaks):
         mesh, guess = start.mesh, start.strain
     mesh = mesh or Mesh.through(breaks, largest)
@@ -87,7 +87,7 @@ def settle(
         while True:
             problem = equilibrium(mesh)
             strain = problem.loaded_strain(guess)
-            smooth = given or mesh.unresolved(strain) < _SMOOTH
+            smooth = fixed or mesh.unresolved(strain) < _SMOOTH
             if smooth or np.diff(mesh.edges).max() < rod.length / _FINEST:
                 return problem.shape(strain)
             finer = Mesh.through(mesh.edges, 0.5 * np.diff(mesh.edges).max())
@@ -126,9 +126,9 @@ class Equilibrium:
 
     def loaded_strain(self, guess: Array | None) -> Array:
         """Strain (G, 6) under the full load, from the guess or by stepping the load from zero."""
-        warm = None if guess is None else self._newton(guess, 1.0)
-        if warm is not None:
-            return warm
+        from_guess = None if guess is None else self._newton(guess, 1.0)
+        if from_guess is not None:
+            return from_guess
         strain, share, step = np.array(self.equations.rest), 0.0, 1.0
         while share < 1.0:
             step = min(step, 1.0 - share)
@@ -151,66 +151,66 @@ class Equilibrium:
         None also if the equilibrium is unstable and `stable` is set. The factored Jacobian is
         reused while each step reduces the residual by a factor of five.
         """
-        here = self._at(strain, share)
-        size, slope = self._size(here), None
+        balance = self._balance(strain, share)
+        size, jacobian = self._residual_norm(balance), None
         for _ in range(_ITERATIONS):
             if size < _CLOSE * (1.0 + np.abs(strain).max()):
-                fine = not self.stable or self._is_stable(self._slope(here, share))
-                return strain if fine else None
-            fresh = slope is None
-            if slope is None:
-                slope = lu_factor(self._slope(here, share), check_finite=False)
-            work = self.equations.mesh.weights[:, None] * here.residual
-            step = lu_solve(slope, work.ravel(), check_finite=False)
+                accepted = not self.stable or self._is_stable(self._jacobian(balance, share))
+                return strain if accepted else None
+            fresh = jacobian is None
+            if jacobian is None:
+                jacobian = lu_factor(self._jacobian(balance, share), check_finite=False)
+            work = self.equations.mesh.weights[:, None] * balance.residual
+            step = lu_solve(jacobian, work.ravel(), check_finite=False)
             if not np.abs(step).max() * self.equations.rod.length < _LONGEST:
                 return None
-            trial, trial_balance, trial_size = self._shorten(
+            trial, trial_balance, trial_size = self._line_search(
                 strain, step.reshape(strain.shape), share, size
             )
             if not trial_size < (2.0 * size if fresh else size):
                 if fresh:
                     return None
-                slope = None
+                jacobian = None
                 continue
-            strain, here = trial, trial_balance
-            slope = slope if trial_size < 0.2 * size else None
+            strain, balance = trial, trial_balance
+            jacobian = jacobian if trial_size < 0.2 * size else None
             size = trial_size
         return None
 
-    def _shorten(
+    def _line_search(
         self, strain: Array, step: Array, share: float, size: float
     ) -> tuple[Array, Balance, float]:
         """Strain, balance and residual after a step, halved up to three times if it increases."""
         shorter = 1.0
         while True:
             trial = strain - shorter * step
-            balance = self._at(trial, share)
-            trial_size = self._size(balance)
+            balance = self._balance(trial, share)
+            trial_size = self._residual_norm(balance)
             if trial_size < size or shorter < 0.2:
                 return trial, balance, trial_size
             shorter *= 0.5
 
-    def _at(self, strain: Array, share: float) -> Balance:
+    def _balance(self, strain: Array, share: float) -> Balance:
         """Static balance of a strain under a share of the loads."""
         state = np.stack([strain, np.zeros_like(strain), np.zeros_like(strain)])
         return self.equations.at(state, self.instant.share(share))
 
-    def _size(self, here: Balance) -> float:
+    def _residual_norm(self, balance: Balance) -> float:
         """Largest residual in units of strain, as residual over stiffness."""
-        return float(np.abs(here.residual / self.equations.rod.stiffness).max())
+        return float(np.abs(balance.residual / self.equations.rod.stiffness).max())
 
-    def _slope(self, here: Balance, share: float) -> Array:
+    def _jacobian(self, balance: Balance, share: float) -> Array:
         """Jacobian (6G, 6G) of the residual with respect to strain, rows times Gauss weights."""
         instant = self.instant.share(share)
         if instant.planes.size or np.any(instant.sites[:, 10]):
-            return matrices(self.equations, here, instant).stiffness
-        return self.equations.stiffness(here, instant.cables)
+            return matrices(self.equations, balance, instant).stiffness
+        return self.equations.stiffness(balance, instant.cables)
 
-    def _is_stable(self, slope: Array) -> bool:
+    def _is_stable(self, jacobian: Array) -> bool:
         """Whether the potential energy is at a minimum: its Hessian is positive definite."""
         mesh, rod = self.equations.mesh, self.equations.rod
         scale = 1.0 / np.sqrt(mesh.weights[:, None] * rod.stiffness).ravel()
-        hessian = scale[:, None] * slope * scale
+        hessian = scale[:, None] * jacobian * scale
         try:
             np.linalg.cholesky(0.5 * (hessian + hessian.T))
         except np.linalg.LinAlgError:

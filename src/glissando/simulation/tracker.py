@@ -53,19 +53,19 @@ def coil_rows(
     encoded = commanded + flaws.encoder * next(streams).standard_normal(time.size)
     length = motion.rod.length
     longest = straight_length(channel, length) if channel else length
-    named = np.clip(longest - encoded + offset, 0.0, longest)
+    encoded_place = np.clip(longest - encoded + offset, 0.0, longest)
     shares = _EXPOSED if flaws.exposure > 0.0 else np.zeros(1)
-    seen = (time[:, None] - flaws.latency - flaws.exposure * shares).ravel()
-    place = np.clip(longest - _coil_at(path, seen, flaws) + offset, 0.0, longest)
-    pose = poses_in(channel, motion, place, seen) if channel else motion.at(place, seen).pose
-    pose = pose @ _play(next(streams), place, flaws.play)
-    pose = _mean(pose.reshape(time.size, shares.size, 4, 4))
+    exposed = (time[:, None] - flaws.latency - flaws.exposure * shares).ravel()
+    place = np.clip(longest - _coil_at(path, exposed, flaws) + offset, 0.0, longest)
+    pose = poses_in(channel, motion, place, exposed) if channel else motion.at(place, exposed).pose
+    pose = pose @ _clearance_poses(next(streams), place, flaws.play)
+    pose = _mean_poses(pose.reshape(time.size, shares.size, 4, 4))
     pose = pose @ se3.exp(_tracker_error(next(streams), next(streams), pose, flaws))
     centre = se3.pose(np.eye(3), np.asarray(flaws.field_centre))
     slip = centre @ se3.exp(_registration(next(streams), flaws)) @ se3.inverse(centre)
     reported = rolled(se3.inverse(T_wt) @ slip @ pose, flaws.roll, next(streams))
-    received = _received(next(streams), time, flaws)
-    return Rows("coil", time[received], named[received], reported[received], {})
+    received = _outside_dropouts(next(streams), time, flaws)
+    return Rows("coil", time[received], encoded_place[received], reported[received], {})
 
 
 def _coil_at(path: SlidePath, time: Array, flaws: Imperfections) -> Array:
@@ -73,7 +73,7 @@ def _coil_at(path: SlidePath, time: Array, flaws: Imperfections) -> Array:
     sequence = np.sort(time)
     back = np.searchsorted(sequence, time)
     if flaws.drive_stiffness <= 0.0:
-        return _follow(path.at(sequence), flaws.backlash)[back]
+        return _with_backlash(path.at(sequence), flaws.backlash)[back]
     tube = DriveTube(
         flaws.drive_stiffness,
         flaws.drive_mass,
@@ -82,10 +82,10 @@ def _coil_at(path: SlidePath, time: Array, flaws: Imperfections) -> Array:
         flaws.drive_stiction,
     )
     fine = np.arange(sequence[0], sequence[-1] + 2.0 * STEP, STEP)
-    return np.interp(time, fine, tube.follow(_follow(path.at(fine), flaws.backlash)))
+    return np.interp(time, fine, tube.follow(_with_backlash(path.at(fine), flaws.backlash)))
 
 
-def _mean(poses: Array) -> Array:
+def _mean_poses(poses: Array) -> Array:
     """Mean poses (M, 4, 4) of J close poses (M, J, 4, 4) each."""
     if poses.shape[1] == 1:
         return poses[:, 0]
@@ -93,16 +93,16 @@ def _mean(poses: Array) -> Array:
     return first[:, 0] @ se3.exp(np.mean(se3.log(se3.inverse(first) @ poses), axis=1))
 
 
-def _follow(commanded: Array, width: float) -> Array:
+def _with_backlash(commanded: Array, width: float) -> Array:
     """Displacements (M,) of a coil that follows the motor with a play of `width` metres."""
-    goals, play = commanded.tolist(), 0.5 * width
-    real = goals[:1]
-    for goal in goals[1:]:
-        real.append(min(max(real[-1], goal - play), goal + play))
-    return np.array(real)
+    motor, play = commanded.tolist(), 0.5 * width
+    coil = motor[:1]
+    for target in motor[1:]:
+        coil.append(min(max(coil[-1], target - play), target + play))
+    return np.array(coil)
 
 
-def _play(rng: np.random.Generator, arclength: Array, clearance: float) -> Array:
+def _clearance_poses(rng: np.random.Generator, arclength: Array, clearance: float) -> Array:
     """Poses (M, 4, 4) of the inner tube in the outer one, in contact along a smooth random line."""
     around = SmoothField.draw(rng, 1, 1, 0.15)
     start = rng.uniform(0.0, 2.0 * np.pi)
@@ -160,7 +160,7 @@ def rolled(pose: Array, roll: str, rng: np.random.Generator) -> Array:
     return out
 
 
-def _received(rng: np.random.Generator, time: Array, flaws: Imperfections) -> np.ndarray:
+def _outside_dropouts(rng: np.random.Generator, time: Array, flaws: Imperfections) -> np.ndarray:
     """Mask (M,) or indices of the rows outside drop-outs; at least one row is kept."""
     received = np.ones(time.size, dtype=bool)
     span = float(np.ptp(time))

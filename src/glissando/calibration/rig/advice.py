@@ -138,12 +138,12 @@ def prior_conflicts(rig: Rig, expected: Rig, std: Array) -> tuple[str, ...]:
         expected: Prior mean.
         std: Prior standard deviations (17,).
     """
-    away, sentences = rig.minus(expected), []
+    deviation, sentences = rig.minus(expected), []
     for name, (at, _) in _GROUPS.items():
         k = at.start
-        if at.stop - k == 1 and std[k] > 0.0 and abs(away[k]) > _UNLIKELY * std[k]:
+        if at.stop - k == 1 and std[k] > 0.0 and abs(deviation[k]) > _UNLIKELY * std[k]:
             sentences.append(
-                f"{name[0].upper()}{name[1:]} was found {abs(away[k]) / std[k]:.0f} standard "
+                f"{name[0].upper()}{name[1:]} was found {abs(deviation[k]) / std[k]:.0f} standard "
                 f"deviations (±{std[k]:.2g}) from what was expected: state how large it may be, "
                 f"or do not trust this result; what else was found may be off as far."
             )

@@ -77,13 +77,13 @@ def _calibrated(data: RigData, robot: Robot, readings: int) -> Calibration:
     model = CoilModel(data, shape, factor(shape.system))
     best, expected, odds = _choose_direction(model, expected, std)
     model = _covered(model, best)
-    sound = replace(model, data=model.data.at(inliers(model, best)))
-    sound = with_measured_noise(sound, best)
-    averaged = _averaged(sound, readings)
+    inlying = replace(model, data=model.data.at(inliers(model, best)))
+    inlying = with_measured_noise(inlying, best)
+    averaged = _averaged(inlying, readings)
     fit = _without_outliers(refine(averaged, best, expected, std), expected, std)
-    left_out = model.data.coil_time.size - sound.data.coil_time.size
+    left_out = model.data.coil_time.size - inlying.data.coil_time.size
     left_out += averaged.data.coil_time.size - fit.model.data.coil_time.size
-    notes += _doubts(data, fit, odds, left_out) + prior_conflicts(fit.rig, expected, std)
+    notes += _warnings(data, fit, odds, left_out) + prior_conflicts(fit.rig, expected, std)
     notes += advice(data, fit.cov, std)
     if tube is not None:
         notes += judgement(tube, fit.rig, fit.cov, data)
@@ -104,14 +104,14 @@ def _choose_direction(model: CoilModel, expected: Rig, std: Array) -> tuple[Rig,
     """Rig and initial guess of the chosen direction, and the log odds of the likelier direction."""
     data = model.data
     lag = slide_lag(data) if data.slides else 0.0
-    few = replace(model, data=data.thinned(_FIRST))
+    subset = replace(model, data=data.thinned(_FIRST))
     starts = {
-        direction: rough_start(few, replace(expected, direction=direction), lag)
+        direction: rough_start(subset, replace(expected, direction=direction), lag)
         for direction in ((1, -1) if data.slides else (1,))
     }
-    better = min(starts.values(), key=lambda rig: float(np.median(distances(few, rig))))
-    few = replace(few, data=few.data.at(inliers(few, better)))
-    fits = [_fit_direction(few, starts, direction, std) for direction in starts]
+    better = min(starts.values(), key=lambda rig: float(np.median(distances(subset, rig))))
+    subset = replace(subset, data=subset.data.at(inliers(subset, better)))
+    fits = [_fit_direction(subset, starts, direction, std) for direction in starts]
     fits.sort(key=lambda fit: -fit.log_evidence)
     best = fits[0].rig.direction
     others = [fit for fit in fits if fit.rig.direction != best]
@@ -136,7 +136,7 @@ def _covered(model: CoilModel, rig: Rig) -> CoilModel:
     data, (start, stop) = model.data, span(model.data)
     time = rig.true_time(data.coil_time)
     inside = (time >= start + _EDGE) & (time <= stop - _EDGE) & rig.covered(time, data)
-    return replace(model, data=_enough(data.at(np.flatnonzero(inside))))
+    return replace(model, data=_require_enough(data.at(np.flatnonzero(inside))))
 
 
 def _averaged(model: CoilModel, count: int) -> CoilModel:
@@ -148,7 +148,7 @@ def _averaged(model: CoilModel, count: int) -> CoilModel:
     return replace(model, data=data, block_size=size)
 
 
-def _enough(data: RigData) -> RigData:
+def _require_enough(data: RigData) -> RigData:
     if data.coil_time.size < FEWEST:
         raise RecordingError(
             f"The tracker saw {data.coil_name!r} {data.coil_time.size} times while the other "
@@ -165,15 +165,15 @@ def _without_outliers(fit: RigFit, expected: Rig, std: Array) -> RigFit:
     squares = np.sum(fit.innovations() ** 2, axis=1)
     count = squares.size
     while True:
-        sound: NDArray[np.intp]
-        sound = np.flatnonzero(squares <= max(_OUTLIER, _WORST * float(squares.max())))
-        if sound.size == squares.size or sound.size < (1.0 - _MOST_OUT) * count:
+        inlying: NDArray[np.intp]
+        inlying = np.flatnonzero(squares <= max(_OUTLIER, _WORST * float(squares.max())))
+        if inlying.size == squares.size or inlying.size < (1.0 - _MOST_OUT) * count:
             return fit
-        fit = refine(fit.model.at(sound), fit.rig, expected, std)
+        fit = refine(fit.model.at(inlying), fit.rig, expected, std)
         squares = np.sum(fit.innovations() ** 2, axis=1)
 
 
-def _doubts(data: RigData, fit: RigFit, odds: float, left_out: int) -> tuple[str, ...]:
+def _warnings(data: RigData, fit: RigFit, odds: float, left_out: int) -> tuple[str, ...]:
     """Warnings on outliers, misfit, convergence and the direction."""
     out = []
     if left_out:
@@ -229,4 +229,4 @@ def _usable(data: RigData) -> tuple[RigData, tuple[str, ...]]:
         first, last = max(float(t[0]) for t in times), min(float(t[-1]) for t in times)
         inside = (data.coil_time >= first - LATEST) & (data.coil_time <= last + LATEST)
         data = data.at(np.flatnonzero(inside))
-    return _enough(data), tuple(notes)
+    return _require_enough(data), tuple(notes)

@@ -91,13 +91,13 @@ def fit_slide(data: RigData) -> SlideFit | None:
         )
     middle, axis = _line(place)
     along = (place - middle) @ axis
-    theta = _start(data, time, along, epoch)
+    theta = _initial_parameters(data, time, along, epoch)
     if theta[1] < 0.0:
         axis, along, theta = -axis, -along, theta * [-1, -1, 1, 1, 1]
-    theta, cov, sound = _refined(data, time, along, epoch, theta)
-    off = (place - middle)[sound] - np.outer(along[sound], axis)
-    left = along[sound] - _predicted(data, time[sound], epoch, theta)
-    rms = [float(np.sqrt(np.mean(x**2))) for x in (left, np.linalg.norm(off, axis=1))]
+    theta, cov, inlying = _refine(data, time, along, epoch, theta)
+    lateral = (place - middle)[inlying] - np.outer(along[inlying], axis)
+    residual = along[inlying] - _predicted(data, time[inlying], epoch, theta)
+    rms = [float(np.sqrt(np.mean(x**2))) for x in (residual, np.linalg.norm(lateral, axis=1))]
     lead, backlash, delay = (float(x) for x in theta[1:4])
     return SlideFit(body.name, lead, backlash, delay, cov[1:4, 1:4], rms[0], rms[1])
 
@@ -112,15 +112,15 @@ def judgement(fit: SlideFit, rig: Rig, cov: Array, data: RigData) -> tuple[str, 
         data: The session.
     """
     out = []
-    ours = {"lead scale": (fit.lead, fit.cov[0, 0]), "slide's delay": (fit.delay, fit.cov[2, 2])}
-    theirs = {"lead scale": rig.lead, "slide's delay": float(rig.slide_clock[0])}
-    for name, (value, var) in ours.items():
+    by_body = {"lead scale": (fit.lead, fit.cov[0, 0]), "slide's delay": (fit.delay, fit.cov[2, 2])}
+    by_coil = {"lead scale": rig.lead, "slide's delay": float(rig.slide_clock[0])}
+    for name, (value, var) in by_body.items():
         k = PARAMETERS.index(_SAME[name])
         std = float(np.sqrt(var + cov[k, k]))
-        if abs(value - theirs[name]) > _DISAGREE * std:
+        if abs(value - by_coil[name]) > _DISAGREE * std:
             out.append(
                 f"The {name} is {value:.5g} by the body {fit.name!r} on the tube and "
-                f"{theirs[name]:.5g} by the coil, {abs(value - theirs[name]) / std:.0f} standard "
+                f"{by_coil[name]:.5g} by the coil, {abs(value - by_coil[name]) / std:.0f} standard "
                 f"deviations apart: does the tube slip, stretch or wind up?"
             )
     k = PARAMETERS.index("backlash")
@@ -145,7 +145,7 @@ def _line(place: Array) -> tuple[Array, Array]:
     return middle, np.linalg.svd(place - middle, full_matrices=False)[2][0]
 
 
-def _followed(data: RigData, stamps: Array, backlash: float) -> Array:
+def _played_travel(data: RigData, stamps: Array, backlash: float) -> Array:
     travel = data.travel - 0.5 * backlash * _side(data, backlash)
     return np.interp(stamps, data.slide_time, travel)
 
@@ -160,45 +160,55 @@ def _stamps(time: Array, epoch: float, delay: float, rate: float) -> Array:
 
 def _predicted(data: RigData, time: Array, epoch: float, theta: Array) -> Array:
     offset, lead, backlash, delay, rate = theta
-    return np.asarray(offset + lead * _followed(data, _stamps(time, epoch, delay, rate), backlash))
+    return np.asarray(
+        offset + lead * _played_travel(data, _stamps(time, epoch, delay, rate), backlash)
+    )
 
 
-def _start(data: RigData, time: Array, along: Array, epoch: float) -> Array:
+def _initial_parameters(data: RigData, time: Array, along: Array, epoch: float) -> Array:
     """Initial parameters (5,): offset, lead and the best delay of a grid; play and rate zero."""
     best, out = np.inf, np.zeros(5)
     for delay in np.arange(-LATEST, LATEST + 1e-9, _STEP):
-        travel = _followed(data, time + delay, 0.0)
+        travel = _played_travel(data, time + delay, 0.0)
         columns = np.stack([np.ones(time.size), travel], axis=1)
-        linear, left, rank, _ = np.linalg.lstsq(columns, along, rcond=None)
-        if rank == 2 and left[0] < best:
-            best, out = float(left[0]), np.array([*linear, 0.0, delay, 0.0])
+        linear, squares, rank, _ = np.linalg.lstsq(columns, along, rcond=None)
+        if rank == 2 and squares[0] < best:
+            best, out = float(squares[0]), np.array([*linear, 0.0, delay, 0.0])
     return out
 
 
-def _refined(
+def _refine(
     data: RigData, time: Array, along: Array, epoch: float, theta: Array
 ) -> tuple[Array, Array, Array]:
     """Refined parameters (5,), their covariance (5, 5), and the mask (B,) of inliers."""
-    sound = np.ones(time.size, dtype=bool)
+    inlying = np.ones(time.size, dtype=bool)
     for _ in range(_ROUNDS):
-        some = time[sound]
-        stamps = _stamps(some, epoch, theta[3], theta[4])
-        travel = _followed(data, stamps, theta[2])
+        inlier_time = time[inlying]
+        stamps = _stamps(inlier_time, epoch, theta[3], theta[4])
+        travel = _played_travel(data, stamps, theta[2])
         speed = (
-            _followed(data, stamps + _NUDGE, theta[2]) - _followed(data, stamps - _NUDGE, theta[2])
+            _played_travel(data, stamps + _NUDGE, theta[2])
+            - _played_travel(data, stamps - _NUDGE, theta[2])
         ) / (2.0 * _NUDGE)
         side = np.interp(stamps, data.slide_time, _side(data, theta[2]))
-        late = theta[1] * speed
+        by_delay = theta[1] * speed
         J = np.stack(
-            [np.ones(some.size), travel, -0.5 * theta[1] * side, late, late * (some - epoch)], 1
+            [
+                np.ones(inlier_time.size),
+                travel,
+                -0.5 * theta[1] * side,
+                by_delay,
+                by_delay * (inlier_time - epoch),
+            ],
+            1,
         )
-        left = along[sound] - (theta[0] + theta[1] * travel)
-        var = max(float(left @ left) / (some.size - 5), 1e-14)
+        residual = along[inlying] - (theta[0] + theta[1] * travel)
+        var = max(float(residual @ residual) / (inlier_time.size - 5), 1e-14)
         information = J.T @ J / var
         information[4, 4] += _RATE**-2
-        rhs = J.T @ left / var
+        rhs = J.T @ residual / var
         rhs[4] -= theta[4] * _RATE**-2
         theta = theta + np.linalg.solve(information, rhs)
-        off = along - _predicted(data, time, epoch, theta)
-        sound = np.abs(off) < _OUTLYING * max(1.4826 * float(np.median(np.abs(off))), 1e-6)
-    return theta, np.linalg.inv(information), sound
+        errors = along - _predicted(data, time, epoch, theta)
+        inlying = np.abs(errors) < _OUTLYING * max(1.4826 * float(np.median(np.abs(errors))), 1e-6)
+    return theta, np.linalg.inv(information), inlying

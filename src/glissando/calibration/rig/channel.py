@@ -69,7 +69,7 @@ def by_strain_along(
     assert placed.beside is not None
     assert placed.winding is not None
     rise = np.concatenate([rise[:, POSE] + placed.winding, rise[:, 6:]], axis=1)
-    lean = np.einsum("mrd,md->mr", by_state, rise)
-    out = np.zeros((*lean.shape, shape.grid.arclength.size, shape.state.dof))
-    out[..., STRAIN] = lean[:, :, None, None] * placed.beside[:, None, 0]
-    return out.reshape(*lean.shape, -1)
+    by_arclength = np.einsum("mrd,md->mr", by_state, rise)
+    out = np.zeros((*by_arclength.shape, shape.grid.arclength.size, shape.state.dof))
+    out[..., STRAIN] = by_arclength[:, :, None, None] * placed.beside[:, None, 0]
+    return out.reshape(*by_arclength.shape, -1)

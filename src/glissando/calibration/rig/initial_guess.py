@@ -83,8 +83,8 @@ def _search(model: CoilModel, expected: Rig, lag: float) -> Rig:
     best, least = expected, np.inf
     for k, (rig, delay) in enumerate(zip(rigs, delays, strict=True)):
         at = states.take(k)
-        seen = at.pose @ model.readings(rig).mount
-        rig = replace(rig, T_wt=registration(seen, model.data.coil))
+        predicted = at.pose @ model.readings(rig).mount
+        rig = replace(rig, T_wt=registration(predicted, model.data.coil))
         residual = model.readings(rig).residual(at) / _SCALE
         cost = float(np.mean(np.minimum(residual**2, 25.0))) + 1e-6 * delay**2  # breaks ties
         if cost < least:

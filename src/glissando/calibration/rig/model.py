@@ -185,8 +185,8 @@ class CoilModel:
 
 def _field_correlation(place: Array, length: float) -> Array:
     """Correlation (M, M) of a smooth random field between places (M, 3)."""
-    apart = place[:, None] - place[None]
-    return np.exp(-0.5 * np.einsum("ijd,ijd->ij", apart, apart) / length**2)
+    difference = place[:, None] - place[None]
+    return np.exp(-0.5 * np.einsum("ijd,ijd->ij", difference, difference) / length**2)
 
 
 def _clearance_covariance(arclength: Array, clearance: float, length: float) -> Array:
@@ -194,11 +194,11 @@ def _clearance_covariance(arclength: Array, clearance: float, length: float) -> 
 
     Offsets x and y are smooth random functions of arclength; tilts are (−y′, x′).
     """
-    apart = arclength[:, None] - arclength[None]
-    offset = 0.5 * clearance**2 * np.exp(-0.5 * (apart / length) ** 2)
-    slope = offset * apart / length**2  # of the second place
-    both_slopes = offset * (1.0 - (apart / length) ** 2) / length**2
-    out = np.zeros((*apart.shape, ROWS, ROWS))
+    difference = arclength[:, None] - arclength[None]
+    offset = 0.5 * clearance**2 * np.exp(-0.5 * (difference / length) ** 2)
+    slope = offset * difference / length**2  # of the second place
+    both_slopes = offset * (1.0 - (difference / length) ** 2) / length**2
+    out = np.zeros((*difference.shape, ROWS, ROWS))
     for axis, tilt, sign in ((0, 4, 1.0), (1, 3, -1.0)):
         out[..., axis, axis], out[..., tilt, tilt] = offset, both_slopes
         out[..., axis, tilt], out[..., tilt, axis] = sign * slope, -sign * slope

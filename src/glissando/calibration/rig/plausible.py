@@ -59,37 +59,37 @@ def _require_near(data: RigData, between: float) -> None:
         between: Least difference of arclength (m) of the bodies and positions that are compared.
     """
     pairs = [
-        (abs(one.arclength - other.arclength), _apart(one, other))
+        (abs(one.arclength - other.arclength), _distance(one, other))
         for one, other in combinations(data.bodies.values(), 2)
         if abs(one.arclength - other.arclength) > between
     ]
-    what, (most, way) = "Bodies of motion capture", max(pairs, default=(0.0, 0.0))
-    wrong = bool(pairs) and all(apart < _NEAR * along for along, apart in pairs)
+    what, (most, gap) = "Bodies of motion capture", max(pairs, default=(0.0, 0.0))
+    wrong = bool(pairs) and all(separation < _NEAR * along for along, separation in pairs)
     if not wrong and data.slides and data.coil_time.size:
         travel = np.interp(data.coil_time, data.slide_time, data.travel)
         what, most = f"Positions of {data.coil_name!r}", float(np.ptp(travel))
-        way = 2.0 * float(_strays(data.coil).max())
-        wrong = most > between and way < _NEAR * most
+        gap = 2.0 * float(_distances_from_median(data.coil).max())
+        wrong = most > between and gap < _NEAR * most
     if wrong:
         raise RecordingError(
-            f"{what} lie {way:.2g} m apart, which are {most:.3g} m apart along the robot: they are "
+            f"{what} lie {gap:.2g} m apart, which are {most:.3g} m apart along the robot: they are "
             f"probably in metres, read as millimetres; state their unit."
         )
 
 
-def _apart(one: Body, other: Body) -> float:
+def _distance(one: Body, other: Body) -> float:
     """Distance of the median positions of two bodies, m."""
-    return float(np.linalg.norm(_middle(one.poses) - _middle(other.poses)))
+    return float(np.linalg.norm(_median_position(one.poses) - _median_position(other.poses)))
 
 
-def _middle(poses: Array) -> Array:
+def _median_position(poses: Array) -> Array:
     """Median position (3,) of poses (M, 4, 4)."""
     return np.asarray(np.median(poses[:, :3, 3], axis=0))
 
 
-def _strays(poses: Array) -> Array:
+def _distances_from_median(poses: Array) -> Array:
     """Distances (M,) of poses (M, 4, 4) from their median position."""
-    return np.asarray(np.linalg.norm(poses[:, :3, 3] - _middle(poses), axis=1))
+    return np.asarray(np.linalg.norm(poses[:, :3, 3] - _median_position(poses), axis=1))
 
 
 def _limits(data: RigData, length: float) -> list[tuple[str, float, float]]:
@@ -110,11 +110,11 @@ def _limits(data: RigData, length: float) -> list[tuple[str, float, float]]:
     if data.slides:
         out.append(("The slide's way", float(np.ptp(data.travel)), _SLIDDEN * length))
     if data.coil_time.size:
-        stray = float(np.median(_strays(data.coil)))
+        stray = float(np.median(_distances_from_median(data.coil)))
         out.append((f"The way of {data.coil_name!r} from its middle", stray, _APART * length))
     for (a, one), (b, other) in combinations(data.bodies.items(), 2):
-        apart = _apart(one, other)
-        out.append((f"The distance of bodies {a!r} and {b!r}", apart, _APART * length))
+        distance = _distance(one, other)
+        out.append((f"The distance of bodies {a!r} and {b!r}", distance, _APART * length))
     mounts = {f"body {name!r}": body.mount for name, body in data.bodies.items()}
     for name, mount in {**mounts, f"coil {data.coil_name!r}": data.mount}.items():
         out.append((f"The mount of {name}", float(np.linalg.norm(mount[:3, 3])), _MOUNT))

@@ -251,7 +251,7 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
     Raises:
         RecordingError: If no coil reading remains.
     """
-    rig, length = _in_frame(calibration, data), None if robot is None else robot.length
+    rig, length = _with_stated_frame(calibration, data), None if robot is None else robot.length
     name, channel = data.coil_name, rig.channel(data)
     rows, mount = _rows_of_coil(rig, data, length)
     streams = {name: Stream(name, rows, mount=mount, channel=channel)}
@@ -263,8 +263,9 @@ def apply(calibration: Calibration, data: RigData, robot: Robot | None = None) -
     for name, b in data.bodies.items():
         rows = Rows("pose", b.time, np.full(b.time.size, b.arclength), b.poses, {})
         streams[name] = Stream(name, rows, True, std, b.mount, keep_repeats=True)
-    made = Recording("session", Path(), streams, robot, None)
-    return made if calibration.placed or data.frame is not None else _unplaced(made)
+    recording = Recording("session", Path(), streams, robot, None)
+    known = calibration.placed or data.frame is not None
+    return recording if known else _in_unknown_frame(recording)
 
 
 def _rows_of_coil(rig: Rig, data: RigData, length: float | None) -> tuple[Rows, Array]:
@@ -276,18 +277,18 @@ def _rows_of_coil(rig: Rig, data: RigData, length: float | None) -> tuple[Rows, 
     arclength, inside = rig.arclength(time, data), rig.covered(time, data)
     if length is not None:
         low, high = ends_of(rig.channel(data), length)
-        beyond = arclength - np.clip(arclength, low, high)
-        arclength = arclength - beyond
-        inside &= np.abs(beyond) < (_OFF if data.slides else max(_OFF, 4 * data.coil_arclength_std))
+        excess = arclength - np.clip(arclength, low, high)
+        arclength = arclength - excess
+        inside &= np.abs(excess) < (_OFF if data.slides else max(_OFF, 4 * data.coil_arclength_std))
         if not data.slides:
-            mount = se3.exp(np.array([0.0, 0.0, beyond.mean(), 0.0, 0.0, 0.0])) @ mount
+            mount = se3.exp(np.array([0.0, 0.0, excess.mean(), 0.0, 0.0, 0.0])) @ mount
     if not inside.any():
         raise RecordingError("No coil reading is on the robot while the slide ran; is it this rig?")
     poses = rig.T_wt @ data.coil[inside]
     return Rows("coil", time[inside], arclength[inside], poses, {}), mount
 
 
-def _unplaced(recording: Recording) -> Recording:
+def _in_unknown_frame(recording: Recording) -> Recording:
     """Recording with the coils in the tracker's frame, which is marked as unknown."""
     streams = {
         name: stream if stream.truth else replace(stream, frame="tracker")
@@ -296,7 +297,7 @@ def _unplaced(recording: Recording) -> Recording:
     return replace(recording, streams=streams, unknown_frames=frozenset({"tracker"}))
 
 
-def _in_frame(calibration: Calibration, data: RigData) -> Rig:
+def _with_stated_frame(calibration: Calibration, data: RigData) -> Rig:
     """Rig with the estimated frame, else the stated one, else the rig of the calibration."""
     if calibration.placed or data.frame is None:
         return calibration.rig

@@ -52,7 +52,7 @@ def rig_data(session: RawSession, coil: str | None = None) -> RigData:
     """
     setup = Table(session_setup(session), "setup", RecordingError)
     coils = dict(setup.named_tables("coils"))
-    name = _chosen(session, setup, coils, coil)
+    name = _coil_to_calibrate(session, setup, coils, coil)
     place = _place(setup, coils.get(name))
     time, poses = seen_poses(session.topics[_TRACKER + name])
     slide_time, travel = seen_travels(session.topics.get(place.stage))
@@ -97,28 +97,30 @@ def _noise(setup: Table) -> Noise:
     return Noise(**stated)
 
 
-def _chosen(
+def _coil_to_calibrate(
     session: RawSession, setup: Table, coils: Mapping[str, Table], wanted: str | None
 ) -> str:
     """Name of the coil to calibrate."""
-    seen = [topic.removeprefix(_TRACKER) for topic in session.topics if topic.startswith(_TRACKER)]
-    if not seen:
+    recorded = [
+        topic.removeprefix(_TRACKER) for topic in session.topics if topic.startswith(_TRACKER)
+    ]
+    if not recorded:
         raise RecordingError(
             f"The session has no topic {_TRACKER}NAME: without the tracker there is nothing to "
             f"calibrate; record it too."
         )
-    stated = None if setup.peek("coil") is None else setup.text("coil", choices=seen)
+    stated = None if setup.peek("coil") is None else setup.text("coil", choices=recorded)
     setup.skip("coil")
-    sliding = [name for name in seen if name in coils and coils[name].peek("slides")]
+    sliding = [name for name in recorded if name in coils and coils[name].peek("slides")]
     name = wanted or stated
-    if name is None and len(seen) > 1:
+    if name is None and len(recorded) > 1:
         name = sliding[0] if len(sliding) == 1 else None
     elif name is None:
-        name = seen[0]
-    if name is None or name not in seen:
+        name = recorded[0]
+    if name is None or name not in recorded:
         lacks = f"The session has no coil {name!r}" if name else "Several coils were recorded"
         raise RecordingError(
-            f"{lacks}; say with --coil which of {', '.join(sorted(seen))} is to be calibrated."
+            f"{lacks}; say with --coil which of {', '.join(sorted(recorded))} is to be calibrated."
         )
     return name
 
@@ -162,19 +164,19 @@ def _others(
 
 def _bodies(session: RawSession, setup: Table) -> tuple[dict[str, Body], TubeBody | None]:
     """Motion capture bodies on the robot, and the one on the sliding tube or None."""
-    given = setup.table("bodies")
-    known = given.names() if given else []
+    table = setup.table("bodies")
+    known = table.names() if table else []
     out, tubes = {}, []
     for topic in session.topics.values():
         name = topic.name.removeprefix(_MOCAP)
         if not topic.name.startswith(_MOCAP):
             continue
-        if given is None or name not in known:
+        if table is None or name not in known:
             raise RecordingError(
                 f"Motion capture saw {name!r}, and the setup does not say where it sits; add it to "
                 f"its bodies with arclength, position and quaternion."
             )
-        entry = given.subtable(name)
+        entry = table.subtable(name)
         time, poses = seen_poses(topic)
         if entry.flag("slides"):
             tubes.append(TubeBody(name, time, poses))

@@ -78,11 +78,11 @@ def estimate_shape(data: RigData, robot: Robot) -> Posterior:
         grid = Grid(grid.arclength, middle)
         readings = [r.changed(time=np.repeat(middle, len(r))) for r in readings]
     elif isinstance(prior, WhiteNoisePrior):
-        prior, grid = _paced(prior, data, grid)
+        prior, grid = _with_pace(prior, data, grid)
     return estimate(prior, grid, readings)
 
 
-def _paced(prior: WhiteNoisePrior, data: RigData, grid: Grid) -> tuple[WhiteNoisePrior, Grid]:
+def _with_pace(prior: WhiteNoisePrior, data: RigData, grid: Grid) -> tuple[WhiteNoisePrior, Grid]:
     """Prior with smaller densities and grid with fewer time nodes while the robot is still."""
     moves = _moves(data, 0.5 * (grid.time[1:] + grid.time[:-1]))
     used = np.arange(grid.time.size) % _SPARSE == 0
@@ -103,9 +103,9 @@ def _moves(data: RigData, time: Array) -> NDArray[np.bool_]:
             count = min(now - first, last - now)
             if count:
                 step = se3.log(se3.inverse(body.poses[now]) @ body.poses[first:last])
-                way = step[now - first :].mean(axis=0) - step[: now - first].mean(axis=0)
-                spread = std * np.sqrt(1.0 / (now - first) + 1.0 / (last - now))
-                moves[k] |= bool(np.any(np.abs(way) > _MOVED * spread))
+                displacement = step[now - first :].mean(axis=0) - step[: now - first].mean(axis=0)
+                step_std = std * np.sqrt(1.0 / (now - first) + 1.0 / (last - now))
+                moves[k] |= bool(np.any(np.abs(displacement) > _MOVED * step_std))
     return moves
 
 
@@ -135,8 +135,8 @@ def _nodes(data: RigData, robot: Robot) -> Array:
     low, high = np.clip([reach.min(), reach.max()], 0.0, robot.length)
     exact = np.unique([0.0, robot.length, *robot.prior.joints])
     places = np.array([low, high, *(body.arclength for body in data.bodies.values())])
-    apart = np.min(np.abs(places[:, None] - exact), axis=1) > _APART
-    ends = np.unique([*exact, *np.round(places[apart], 3)])
+    separate = np.min(np.abs(places[:, None] - exact), axis=1) > _APART
+    ends = np.unique([*exact, *np.round(places[separate], 3)])
     widest = float(np.diff(robot.arclength_nodes).max())
     out = [ends[:1]]
     for first, last in pairwise(ends):
@@ -212,10 +212,10 @@ def shape_covariance(
     if along is not None:
         share = np.clip(np.interp(time, shape.grid.time, np.arange(last + 1)) - lower, 0.0, 1.0)
         touched += np.stack([1.0 - share, share])[..., None, None] * along
-    return _chained(shape, chol, lower, touched) + np.asarray(block_diag(*own))
+    return _chained_covariance(shape, chol, lower, touched) + np.asarray(block_diag(*own))
 
 
-def _chained(shape: Posterior, chol: Cholesky, lower: Array, touched: Array) -> Array:
+def _chained_covariance(shape: Posterior, chol: Cholesky, lower: Array, touched: Array) -> Array:
     """Joint covariance (M·r, M·r) of linear functions of two neighbouring time nodes each.
 
     Rows `touched` (2, M, r, D) apply to the time nodes `lower` (M,) and the next.

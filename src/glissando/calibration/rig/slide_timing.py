@@ -40,15 +40,15 @@ def slide_lag(data: RigData) -> float:
     stamps, coil_speed = _coil_speeds(data)
     if np.ptp(data.travel) <= 1e-4:
         return 0.0
-    lags, alike = np.arange(-LATEST, LATEST + 1e-9, _STEP), []
+    lags, correlation = np.arange(-LATEST, LATEST + 1e-9, _STEP), []
     for lag in lags:
         speed = _speeds(data, data.travel, stamps + lag)
         norm = float(np.linalg.norm(speed) * np.linalg.norm(coil_speed))
-        alike.append(abs(float(speed @ coil_speed)) / norm if norm > 0.0 else 0.0)
-    around = np.pad(alike, 1)
-    peaks = (around[1:-1] >= around[:-2]) & (around[1:-1] >= around[2:])
-    peaks &= np.array(alike) >= _EQUAL * max(alike)
-    return float(min(lags[peaks], key=abs)) if max(alike) > 0.0 else 0.0
+        correlation.append(abs(float(speed @ coil_speed)) / norm if norm > 0.0 else 0.0)
+    padded = np.pad(correlation, 1)
+    peaks = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:])
+    peaks &= np.array(correlation) >= _EQUAL * max(correlation)
+    return float(min(lags[peaks], key=abs)) if max(correlation) > 0.0 else 0.0
 
 
 def against_slide(data: RigData, expected: Rig, std: Array) -> tuple[Rig, Array]:
@@ -73,7 +73,7 @@ def against_slide(data: RigData, expected: Rig, std: Array) -> tuple[Rig, Array]
     if not data.slides or np.ptp(data.travel) < 1e-3:
         return expected, cov
     start = slide_lag(data)
-    regressed = _regressed(data, expected, std, start)
+    regressed = _regress_speeds(data, expected, std, start)
     if regressed is None:
         return expected, cov
     (gain, lag, play), inverse, share = regressed
@@ -88,7 +88,7 @@ def against_slide(data: RigData, expected: Rig, std: Array) -> tuple[Rig, Array]
     return found, cov
 
 
-def _regressed(
+def _regress_speeds(
     data: RigData, expected: Rig, std: Array, lag: float
 ) -> tuple[Array, Array, float] | None:
     """Signed lead, slide delay and backlash (3,), their covariance, and the unexplained share.
@@ -96,7 +96,7 @@ def _regressed(
     The share is that of the coil's squared speed which is neither the carriage's nor noise. None if
     slide or coil rested, or the coil has too few readings.
     """
-    known = np.diag(np.maximum(std[_FOUND], _EXACT) ** -2.0)
+    prior_information = np.diag(np.maximum(std[_FOUND], _EXACT) ** -2.0)
     found = np.array([0.0, lag, expected.backlash])
     stamps, coil_speed = _coil_speeds(data)
     if stamps.size < _FEWEST or not coil_speed @ coil_speed > 0.0:
@@ -110,14 +110,14 @@ def _regressed(
         if not speed @ speed > 0.0:
             return None
         found[0] = gain = gain or float(speed @ coil_speed / (speed @ speed))
-        turned = -0.5 * _speeds(data, data.side, stamps + lag)
+        by_play = -0.5 * _speeds(data, data.side, stamps + lag)
         by_lag = (ahead - behind) / (2.0 * _NUDGE)
-        jacobian = np.stack([speed, gain * by_lag, gain * turned], axis=1)
+        jacobian = np.stack([speed, gain * by_lag, gain * by_play], axis=1)
         residual = coil_speed - gain * speed
-        seen, pull = _information(stamps, jacobian, residual)
-        inverse = np.linalg.inv(seen + known)
-        beyond = found - [np.copysign(expected.lead, gain), 0.0, expected.backlash]
-        found = found + inverse @ (pull - known @ beyond)
+        information, rhs = _information(stamps, jacobian, residual)
+        inverse = np.linalg.inv(information + prior_information)
+        deviation = found - [np.copysign(expected.lead, gain), 0.0, expected.backlash]
+        found = found + inverse @ (rhs - prior_information @ deviation)
     white = 2.0 * residual.size * (_noise(data) / _LAP) ** 2
     share = max(float(residual @ residual) - white, 0.0) / float(coil_speed @ coil_speed)
     return found, np.asarray(inverse, dtype=np.float64), share
@@ -139,16 +139,16 @@ def _information(time: Array, jacobian: Array, residual: Array) -> tuple[Array, 
     of readings, shared by neighbouring speeds, is added.
     """
     normal, scores = jacobian.T @ jacobian, jacobian * residual[:, None]
-    apart = float(np.median(np.diff(time)))
+    step = float(np.median(np.diff(time)))
     var = max(float(residual @ residual) / residual.size, _FINEST**2)
-    lasts = float(np.ptp(time))
-    longer = lasts / max(lasts - _MEMORY, 0.1 * lasts)
-    spread = _CORRELATED * var * normal + longer * scores.T @ scores
-    for k in range(1, min(int(_MEMORY / apart), len(time) - 1) + 1):
+    duration = float(np.ptp(time))
+    bias_correction = duration / max(duration - _MEMORY, 0.1 * duration)
+    score_cov = _CORRELATED * var * normal + bias_correction * scores.T @ scores
+    for k in range(1, min(int(_MEMORY / step), len(time) - 1) + 1):
         pair = scores[k:].T @ scores[:-k]
-        spread += longer * (1.0 - k * apart / _MEMORY) * (pair + pair.T)
-    seen = normal @ np.linalg.pinv(spread, hermitian=True) @ normal
-    return seen, seen @ np.linalg.pinv(normal, hermitian=True) @ jacobian.T @ residual
+        score_cov += bias_correction * (1.0 - k * step / _MEMORY) * (pair + pair.T)
+    information = normal @ np.linalg.pinv(score_cov, hermitian=True) @ normal
+    return information, information @ np.linalg.pinv(normal, hermitian=True) @ jacobian.T @ residual
 
 
 def _coil_speeds(data: RigData) -> tuple[Array, Array]:
@@ -159,9 +159,9 @@ def _coil_speeds(data: RigData) -> tuple[Array, Array]:
     first = first[time[later[first]] - time[first] < 2.0 * _LAP]
     last = later[first]
     axis = pose[first, :3, 2] + pose[last, :3, 2]
-    way = pose[last, :3, 3] - pose[first, :3, 3]
+    displacement = pose[last, :3, 3] - pose[first, :3, 3]
     norm = np.linalg.norm(axis, axis=1) * (time[last] - time[first])
-    return 0.5 * (time[first] + time[last]), np.einsum("mi,mi->m", way, axis) / norm
+    return 0.5 * (time[first] + time[last]), np.einsum("mi,mi->m", displacement, axis) / norm
 
 
 def _speeds(data: RigData, travel: Array, stamps: Array) -> Array:

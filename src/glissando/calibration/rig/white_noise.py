@@ -32,7 +32,7 @@ def with_measured_noise(model: CoilModel, rig: Rig) -> CoilModel:
     second = (residual[2:] - 2.0 * residual[1:-1] + residual[:-2])[near] / np.sqrt(6.0)
     if len(second) < _FEWEST:
         return model
-    spread = _NORMAL * np.median(np.abs(second), axis=0)
-    seen = np.sqrt([np.mean(spread[:3] ** 2), np.mean(spread[3:] ** 2)])
-    noise = replace(model.data.noise, coil=np.maximum(model.data.noise.coil, seen))
+    std = _NORMAL * np.median(np.abs(second), axis=0)
+    measured = np.sqrt([np.mean(std[:3] ** 2), np.mean(std[3:] ** 2)])
+    noise = replace(model.data.noise, coil=np.maximum(model.data.noise.coil, measured))
     return replace(model, data=replace(model.data, noise=noise))

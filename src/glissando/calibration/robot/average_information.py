@@ -89,8 +89,8 @@ def slopes(changes: Sequence[Change | None], count: int) -> tuple[Array, Array]:
         if change is not None:
             slope[i] = change.misfit + change.width
             both = change.width * change.misfit < 0.0 and NUDGE * change.shift < _STILL
-            apart = abs(change.width / change.misfit) if both else 1.0
-            scale[i] = np.clip(apart, 1.0 / _MOST, _MOST) ** 0.25
+            ratio = abs(change.width / change.misfit) if both else 1.0
+            scale[i] = np.clip(ratio, 1.0 / _MOST, _MOST) ** 0.25
             information[i] = [0.0 if c is None else change.left @ c.right for c in changes]
     values, vectors = np.linalg.eigh(scale[:, None] * (information + information.T) * scale)
     information = (vectors * np.maximum(0.5 * values, 0.0)) @ vectors.T
@@ -150,11 +150,11 @@ class _Linearized:
         prior, located = robot.prior, self._located(robot)
         size = located.parameters.process.size + self._state.numbers
         self._memory = np.empty(system_shape(located.grid.time.size, size))
-        here = linearize(prior, located, self._state, self._state)
-        self._cholesky = factor(here.system)
-        self._terms, self._rhs = here.terms, here.rhs
-        self._left_to_go = self._cholesky.solve(here.rhs)
-        self._misfit, self._width = _cost(here), self._width_of(here, robot)
+        equations = linearize(prior, located, self._state, self._state)
+        self._cholesky = factor(equations.system)
+        self._terms, self._rhs = equations.terms, equations.rhs
+        self._remaining_step = self._cholesky.solve(equations.rhs)
+        self._misfit, self._width = _cost(equations), self._width_of(equations, robot)
 
     def _located(self, robot: Robot) -> LocatedReadings:
         """Readings located on the grid, with sensor parameters and arclengths of the estimate."""
@@ -173,12 +173,12 @@ class _Linearized:
 
     def change_of_width(self, robot: Robot, nudge: float) -> float:
         """Difference quotient of the log determinants, each at its own robot's estimate."""
-        there = linearize(*self._problem(robot))
-        step = self._cholesky.solve(there.rhs - self._rhs)
-        of_nodes, of_parameters = there.split(step)
-        state, located = self._state.retract(of_nodes), there.located.moved(of_parameters)
-        moved = linearize(robot.prior, located, state, state, self._memory)
-        return (self._width_of(moved, robot) - self._width) / nudge
+        perturbed = linearize(*self._problem(robot))
+        step = self._cholesky.solve(perturbed.rhs - self._rhs)
+        of_nodes, of_parameters = perturbed.split(step)
+        state, located = self._state.retract(of_nodes), perturbed.located.moved(of_parameters)
+        equations = linearize(robot.prior, located, state, state, self._memory)
+        return (self._width_of(equations, robot) - self._width) / nudge
 
     def _problem(self, robot: Robot) -> tuple[Prior, LocatedReadings, State, State, Array]:
         """Arguments of `linearize` for another robot at the fixed estimate."""
@@ -187,17 +187,17 @@ class _Linearized:
     def change(self, robot: Robot, nudge: float) -> Change:
         """Difference quotients to another robot at the fixed estimate."""
         problem = self._problem(robot)
-        there = linearize(*problem)
-        further = np.vdot(self._left_to_go, there.rhs - self._rhs)
-        means, held = _shifted(self._terms, there.terms) / nudge, self._rhs
-        misfit = float(_cost(there) - further - self._misfit) / nudge
+        perturbed = linearize(*problem)
+        remaining = np.vdot(self._remaining_step, perturbed.rhs - self._rhs)
+        means, fixed_cov_rhs = _residual_changes(self._terms, perturbed.terms) / nudge, self._rhs
+        misfit = float(_cost(perturbed) - remaining - self._misfit) / nudge
         if means.any():
-            held = linearize(*problem, self._terms).rhs
-        covs = _widened(self._terms, there.terms) / nudge
+            fixed_cov_rhs = linearize(*problem, self._terms).rhs
+        covs = _covariance_changes(self._terms, perturbed.terms) / nudge
         left, right = [], []
         for share, own, of_states in (
-            (1.0, means, held - self._rhs),
-            (np.sqrt(0.5), covs, there.rhs - held),
+            (1.0, means, fixed_cov_rhs - self._rhs),
+            (np.sqrt(0.5), covs, perturbed.rhs - fixed_cov_rhs),
         ):
             of_states = of_states / nudge
             left += [share * own, -share * of_states.ravel()]
@@ -214,21 +214,21 @@ def _cost(at: NormalEquations) -> float:
     return at.cost_of(at)
 
 
-def _shifted(before: Sequence[Residuals], after: Sequence[Residuals]) -> Array:
+def _residual_changes(before: Sequence[Residuals], after: Sequence[Residuals]) -> Array:
     """Changes of residuals (M,), whitened with the covariances before."""
     pairs = zip(before, after, strict=True)
     return np.concatenate(
-        [_weighted(here, here.whiten(there.residual - here.residual)) for here, there in pairs]
+        [_weighted(old, old.whiten(new.residual - old.residual)) for old, new in pairs]
     )
 
 
-def _widened(before: Sequence[Residuals], after: Sequence[Residuals]) -> Array:
+def _covariance_changes(before: Sequence[Residuals], after: Sequence[Residuals]) -> Array:
     """Changes of R times R⁻¹e (M,) to first order, whitened with the covariances before."""
     parts = []
-    for here, there in zip(before, after, strict=True):
-        wide = np.einsum("mji,mj->mi", there.sqrt_info, there.whiten(here.residual))
-        back = np.linalg.solve(here.sqrt_info.swapaxes(1, 2), wide[..., None])[..., 0]
-        parts.append(_weighted(here, here.whiten(here.residual) - back))
+    for old, new in zip(before, after, strict=True):
+        wide = np.einsum("mji,mj->mi", new.sqrt_info, new.whiten(old.residual))
+        back = np.linalg.solve(old.sqrt_info.swapaxes(1, 2), wide[..., None])[..., 0]
+        parts.append(_weighted(old, old.whiten(old.residual) - back))
     return np.concatenate(parts)
 
 

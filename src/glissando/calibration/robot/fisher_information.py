@@ -59,42 +59,46 @@ def slope_covariance(centre: Score, beside: Sequence[Score | None], nudge: float
         zip(centre.predicted, centre.moments, strict=True)
     ):
         root = np.linalg.cholesky(cov)
-        along = np.zeros((len(beside), *residual.shape))
-        across = np.zeros((len(beside), *cov.shape))
-        for own, wide, score in zip(along, across, beside, strict=True):
+        by_mean = np.zeros((len(beside), *residual.shape))
+        by_cov = np.zeros((len(beside), *cov.shape))
+        for mean_row, wide, score in zip(by_mean, by_cov, beside, strict=True):
             if score is not None:
                 moved, widened = score.predicted[i]
-                own[:], wide[:] = _changes(root, moved - residual, widened - cov)
-        alike = _alike(np.linalg.solve(root, residual[..., None])[..., 0], moment)
-        out += np.einsum("pmi,imn,qni->pq", along, alike, along, optimize=True)
+                mean_row[:], wide[:] = _whitened_changes(root, moved - residual, widened - cov)
+        correlation = _residual_correlations(
+            np.linalg.solve(root, residual[..., None])[..., 0], moment
+        )
+        out += np.einsum("pmi,imn,qni->pq", by_mean, correlation, by_mean, optimize=True)
         for a, b in np.ndindex(*cov.shape[1:]):
-            wide = across[:, :, a, b]
-            out += 0.5 * wide @ (alike[a] * alike[b]) @ wide.T
+            wide = by_cov[:, :, a, b]
+            out += 0.5 * wide @ (correlation[a] * correlation[b]) @ wide.T
     return out / nudge**2 / centre.samples
 
 
-def _alike(white: Array, moment: Array) -> Array:
+def _residual_correlations(white: Array, moment: Array) -> Array:
     """Correlations (r, M, M) of whitened residuals (M, r) in intervals with indices (M,)."""
-    apart = np.abs(moment[:, None] - moment)
-    near = np.argwhere(np.triu(apart == 1.0))
-    pairs = white[near[:, 0]], white[near[:, 1]]
+    lag = np.abs(moment[:, None] - moment)
+    neighbours = np.argwhere(np.triu(lag == 1.0))
+    pairs = white[neighbours[:, 0]], white[neighbours[:, 1]]
     size = 0.5 * sum(np.sum(each**2, axis=0) for each in pairs)
-    memory = np.sum(pairs[0] * pairs[1], axis=0) / np.maximum(size, 1e-300)
-    memory = np.clip(memory, 0.0, _LONGEST_MEMORY)
-    return np.asarray(memory[:, None, None] ** apart)
+    correlation = np.sum(pairs[0] * pairs[1], axis=0) / np.maximum(size, 1e-300)
+    correlation = np.clip(correlation, 0.0, _LONGEST_MEMORY)
+    return np.asarray(correlation[:, None, None] ** lag)
 
 
 def _whitened(centre: Sequence[Predicted], beside: Sequence[Predicted], nudge: float) -> Array:
     """Whitened derivatives by a parameter, whose inner products are the information."""
     parts: list[Array] = []
     for (residual, cov), (moved, widened) in zip(centre, beside, strict=True):
-        along, across = _changes(np.linalg.cholesky(cov), moved - residual, widened - cov)
-        parts += [along.ravel(), np.sqrt(0.5) * across.ravel()]
+        by_mean, by_cov = _whitened_changes(
+            np.linalg.cholesky(cov), moved - residual, widened - cov
+        )
+        parts += [by_mean.ravel(), np.sqrt(0.5) * by_cov.ravel()]
     return np.concatenate(parts) / nudge
 
 
-def _changes(root: Any, mean: Array, cov: Array) -> tuple[Array, Array]:
+def _whitened_changes(root: Any, mean: Array, cov: Array) -> tuple[Array, Array]:
     """Changes of means (M, r) and covariances (M, r, r), whitened by Cholesky factors `root`."""
-    along = np.asarray(np.linalg.solve(root, mean[..., None])[..., 0])
+    by_mean = np.asarray(np.linalg.solve(root, mean[..., None])[..., 0])
     half = np.linalg.solve(root, cov)
-    return along, np.asarray(np.linalg.solve(root, half.swapaxes(-1, -2)))
+    return by_mean, np.asarray(np.linalg.solve(root, half.swapaxes(-1, -2)))

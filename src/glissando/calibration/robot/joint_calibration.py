@@ -131,9 +131,9 @@ def without_constants(document: Document, truth: Sequence[str]) -> Document:
     """
     found = {"truth frame", *(f"{name} mount" for name in truth)}
 
-    def again(entry: Document) -> bool:
+    def recalibrated(entry: Document) -> bool:
         of_truth = set(truth).issuperset(entry["streams"])
         return "std" not in entry and entry["name"] in found and of_truth
 
     entries = document.get("sensor_parameters", [])
-    return {**document, "sensor_parameters": [each for each in entries if not again(each)]}
+    return {**document, "sensor_parameters": [each for each in entries if not recalibrated(each)]}

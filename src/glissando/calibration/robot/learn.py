@@ -105,12 +105,12 @@ def learn(
             document, parameters, objective, pool, most, first, np.zeros(len(parameters))
         )
         progress = _Progress(search, max(steps, 1), watch)
-        end = _searched(progress, pool)
+        end = _run_search(progress, pool)
     learned, bound = moved(document, parameters, search.x), search.at_bounds
-    names = tuple(p.label for p, there in zip(parameters, bound, strict=True) if there)
+    names = tuple(p.label for p, at_bound in zip(parameters, bound, strict=True) if at_bound)
     scores = first.score, search.centre.score
-    found = learned, parameters, search.x, search.std, *scores
-    return Learned(*found, progress.count, end, names)
+    result = learned, parameters, search.x, search.std, *scores
+    return Learned(*result, progress.count, end, names)
 
 
 class _Progress:
@@ -134,7 +134,7 @@ class _Progress:
             self._watch(done, -self.search.value, done / self._share)
 
 
-def _searched(progress: _Progress, pool: Executor) -> End:
+def _run_search(progress: _Progress, pool: Executor) -> End:
     """Take steps until the search ends; return the reason.
 
     After the first step, interrupts and broken processes end the search and its result is kept.

@@ -33,7 +33,7 @@ _ENOUGH = 0.5  # decrease of the cost, actual and predicted, below which the ite
 _GIVE_UP = 1e6  # damping at which the iteration ends
 _FAR = 30.0  # ratio of actual to predicted motion of the tip that indicates another unit
 _SHAPES, _NUDGE = 24, 1e-2  # shapes at which motion of the robot is compared; step of differences
-_TOLD = 0.999  # share of the squared motion that the kept directions explain
+_EXPLAINED = 0.999  # share of the squared motion that the kept directions explain
 _COVERED, _ELLIPSOID = 0.96, 0.95  # coverage is higher, as future motions combine more patterns
 
 Watch = Callable[[str], None]
@@ -98,19 +98,21 @@ def learn_tendons(robot: Robot, data: TendonData, watch: Watch | None = None) ->
         RecordingError: The recording has another number of tendons than the robot, or the scale of
             the tip's motion indicates another unit.
     """
-    model = _turned(TendonModel.of(robot, data.displacement.shape[1]), data)
+    model = _with_best_rotation(TendonModel.of(robot, data.displacement.shape[1]), data)
     _require_unit(model, data)
     say = watch or (lambda text: None)
-    every = np.ones(len(data.tip), dtype=bool)
-    numbers = _fit(model, model.start(), data, every, "from all rows", say)
+    all_rows = np.ones(len(data.tip), dtype=bool)
+    numbers = _fit(model, model.start(), data, all_rows, "from all rows", say)
     error = _errors(model, numbers, data)
-    held_out, without = np.empty_like(error), []
+    held_out, without_block = np.empty_like(error), []
     for block in np.unique(data.block):
-        left = data.block == block
-        without.append(_fit(model, numbers, data, ~left, f"without block {block}", say))
-        held_out[left] = _errors(model, without[-1], data)[left]
+        held_rows = data.block == block
+        without_block.append(_fit(model, numbers, data, ~held_rows, f"without block {block}", say))
+        held_out[held_rows] = _errors(model, without_block[-1], data)[held_rows]
     model_error = _model_error(model, numbers, data, held_out)
-    learned = model.robot_of(numbers, model_error, without, _left_open(model, numbers, data))
+    learned = model.robot_of(
+        numbers, model_error, without_block, _left_to_prior(model, numbers, data)
+    )
     assert learned.tendons is not None
     most = np.maximum(data.displacement.max(axis=0), 0.0)
     learned = replace(learned, tendons=replace(learned.tendons, learned_to=most))
@@ -156,7 +158,7 @@ def _require_unit(model: TendonModel, data: TendonData) -> None:
         )
 
 
-def _turned(model: TendonModel, data: TendonData) -> TendonModel:
+def _with_best_rotation(model: TendonModel, data: TendonData) -> TendonModel:
     """Model with the best of twelve rotations of the tracker about the robot's axis."""
     rows = np.unique(np.linspace(0, len(data.tip) - 1, 100).astype(int))
     few = replace(data, displacement=data.displacement[rows], tip=data.tip[rows])
@@ -169,38 +171,38 @@ def _fit(
     model: TendonModel, start: Numbers, data: TendonData, use: Array, name: str, say: Watch
 ) -> Numbers:
     """Fit the rows `use` by Levenberg–Marquardt, with Student's t errors of the tip and a prior."""
-    rows = _thinned(np.flatnonzero(use), _MOST)
+    rows = _strided(np.flatnonzero(use), _MOST)
     sigma, info_prior = _SCALE * model.robot.length, model.std**-2.0
 
     def cost_of(numbers: Numbers, strain: Array | None) -> tuple[float, Array, Equilibrium]:
         pulled = model.reached(numbers, data.displacement)[rows]
-        found, shape = model.tip(numbers, pulled, strain)
-        error = (data.tip[rows] - found) / sigma
+        result, shape = model.tip(numbers, pulled, strain)
+        error = (data.tip[rows] - result) / sigma
         tails = np.log1p(np.sum(error**2, axis=1) / _TAILS)
         cost = 0.5 * (_TAILS + 3.0) * np.sum(tails) + 0.5 * np.sum(info_prior * numbers**2)
         return float(cost), error, shape
 
-    now, damping = start, 1e-2
-    cost, error, shape = cost_of(now, None)
+    numbers, damping = start, 1e-2
+    cost, error, shape = cost_of(numbers, None)
     for step in range(_STEPS):
-        info, rhs = _normal_equations(model, now, data, rows, (error, shape))
-        before, promised = cost, 0.5 * float(rhs @ np.linalg.solve(info, rhs))
+        info, rhs = _normal_equations(model, numbers, data, rows, (error, shape))
+        before, predicted = cost, 0.5 * float(rhs @ np.linalg.solve(info, rhs))
         while damping < _GIVE_UP:
-            trial = now + np.linalg.solve(info + damping * np.diag(np.diag(info)), rhs)
-            found = cost_of(trial, shape.strain)
-            if found[0] < cost:
-                now, (cost, error, shape) = trial, found
+            trial = numbers + np.linalg.solve(info + damping * np.diag(np.diag(info)), rhs)
+            result = cost_of(trial, shape.strain)
+            if result[0] < cost:
+                numbers, (cost, error, shape) = trial, result
                 damping = max(damping / 5.0, 1e-6)
                 break
             damping *= 4.0
         rmse = sigma * np.sqrt(np.mean(np.sum(error**2, axis=1)))
         say(f"learning {name}: step {step + 1}, tip within {1e3 * rmse:.2f} mm")
-        if damping >= _GIVE_UP or max(before - cost, promised) < _ENOUGH:
+        if damping >= _GIVE_UP or max(before - cost, predicted) < _ENOUGH:
             break
-    return now
+    return numbers
 
 
-def _thinned(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+def _strided(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     """Rows at a regular stride, `most` at most."""
     return rows[:: max(1, -(-len(rows) // most))]
 
@@ -222,30 +224,30 @@ def _normal_equations(
     return tall.T @ tall + np.diag(prior), rhs
 
 
-def _left_open(model: TendonModel, numbers: Numbers, data: TendonData) -> list[Numbers]:
+def _left_to_prior(model: TendonModel, numbers: Numbers, data: TendonData) -> list[Numbers]:
     """Numbers displaced by one standard deviation along each direction left to the prior.
 
     A change Δ of the prior's mean changes the numbers by A⁻¹ P⁻¹ Δ, with A the information and P
     the prior's covariance. The directions that move the robot most in its own frame are kept; those
     of the marker and its tracker do not move it.
     """
-    rows = _thinned(np.arange(len(data.tip)), _MOST)
+    rows = _strided(np.arange(len(data.tip)), _MOST)
     tip, shape = model.tip(numbers, model.reached(numbers, data.displacement)[rows])
     error = (data.tip[rows] - tip) / (_SCALE * model.robot.length)
     info, _ = _normal_equations(model, numbers, data, rows, (error, shape))
-    ways = np.linalg.solve(info, np.diag(1.0 / model.std))
-    few = _thinned(np.arange(len(rows)), _SHAPES)
+    directions = np.linalg.solve(info, np.diag(1.0 / model.std))
+    few = _strided(np.arange(len(rows)), _SHAPES)
 
     def body(moved: Numbers) -> Array:
         """Flattened positions of the ends of pieces, in the robot's own frame."""
         pulled = model.reached(moved, data.displacement)[rows[few]]
         return model.shapes(moved, pulled, shape.strain[few]).pose()[..., :3, 3].ravel()
 
-    ends = [[body(numbers + _NUDGE * step) for step in (way, -way)] for way in ways.T]
+    ends = [[body(numbers + _NUDGE * step) for step in (way, -way)] for way in directions.T]
     moved = np.array([(ahead - behind) / (2.0 * _NUDGE) for ahead, behind in ends])
     across, size, _ = np.linalg.svd(moved, full_matrices=False)
     share = np.cumsum(size**2) / np.sum(size**2)
-    return list(numbers + (ways @ across[:, : 1 + np.searchsorted(share, _TOLD)]).T)
+    return list(numbers + (directions @ across[:, : 1 + np.searchsorted(share, _EXPLAINED)]).T)
 
 
 def _model_error(model: TendonModel, numbers: Numbers, data: TendonData, error: Array) -> Array:

@@ -103,14 +103,14 @@ def predict(
     states = [posterior.at(t.arclength, t.time) for t in sparse]
     constants = tuple(c for c in constants if not c.moves)
     for _ in range(_ROUNDS * free):
-        constants = _improved(sparse, states, constants)
+        constants = _gauss_newton_step(sparse, states, constants)
     pairs = zip(sparse, states, strict=True)
     predicted = tuple(_residual(corrected(t, constants), at) for t, at in pairs)
     total = sum(_cost(*each) for each in predicted)
     count = sum(residual.size for residual, _ in predicted)
     moments = tuple(t.time // APART for t in sparse)
-    stretches = np.concatenate([np.zeros(0), *moments])
-    independent = count * np.unique(stretches).size / max(stretches.size, 1)
+    intervals = np.concatenate([np.zeros(0), *moments])
+    independent = count * np.unique(intervals).size / max(intervals.size, 1)
     value = -total / max(count, 1)
     return Score(value, count, independent, (*constants, *moving), predicted, moments)
 
@@ -125,7 +125,7 @@ def informative(truth: Sequence[Readings]) -> list[Readings]:
         truth: The truth streams of one robot.
     """
     moving = in_motion(truth)
-    firsts = [t.select(_begins_stretch(t)) for t in truth]
+    firsts = [t.select(_starts_interval(t)) for t in truth]
     return [t.select(np.isin(t.time // APART, moving)) for t in firsts]
 
 
@@ -138,7 +138,7 @@ def in_motion(truth: Sequence[Readings]) -> Array:
     return np.unique(np.concatenate([np.zeros(0), *(_moved_in(t) for t in truth if len(t))]))
 
 
-def _begins_stretch(truth: Readings) -> NDArray[np.bool_]:
+def _starts_interval(truth: Readings) -> NDArray[np.bool_]:
     """Whether each sample (M,) is at the first time of its interval."""
     starts = truth.time[np.diff(truth.time // APART, prepend=-np.inf) > 0.0]
     return np.isin(truth.time, starts)
@@ -147,7 +147,7 @@ def _begins_stretch(truth: Readings) -> NDArray[np.bool_]:
 def _moved_in(truth: Readings) -> Array:
     """Indices of the intervals at whose start a stream has moved since the last one chosen."""
     chosen: list[Readings] = []
-    for time in np.unique(truth.time[_begins_stretch(truth)]):
+    for time in np.unique(truth.time[_starts_interval(truth)]):
         moment = truth.select(truth.time == time)
         if not chosen or _moved_between(chosen[-1], moment):
             chosen.append(moment)
@@ -159,8 +159,8 @@ def _moved_between(before: Readings, after: Readings) -> bool:
     poses = after.values.shape[1:] == (4, 4)
     if not poses or not np.array_equal(before.arclength, after.arclength):
         return True
-    way = se3.log(se3.inverse(before.values) @ after.values).reshape(-1, 2, 3)
-    return bool(np.any(np.linalg.norm(way, axis=-1) > _MOVED))
+    motion = se3.log(se3.inverse(before.values) @ after.values).reshape(-1, 2, 3)
+    return bool(np.any(np.linalg.norm(motion, axis=-1) > _MOVED))
 
 
 def _cost(residual: Array, cov: Array) -> float:
@@ -178,7 +178,7 @@ def _residual(truth: Readings, at: StateEstimate) -> tuple[Array, Array]:
     return truth.residual(state), cov
 
 
-def _improved(
+def _gauss_newton_step(
     truth: Sequence[Readings],
     states: Sequence[StateEstimate],
     constants: tuple[SensorParameter, ...],
@@ -193,12 +193,12 @@ def _improved(
         information[at, at] += np.diag(weight)
         rhs[at] -= weight * constant.value
     for stream, at_stream in zip(truth, states, strict=True):
-        seen = corrected(stream, constants)
-        residual, cov = _residual(seen, at_stream)
+        shifted = corrected(stream, constants)
+        residual, cov = _residual(shifted, at_stream)
         state = State(at_stream.pose, at_stream.strain, at_stream.velocity)
         own = [i for i, constant in enumerate(constants) if stream.name in constant.streams]
         values = [(constants[i], constants[i].value) for i in own]
-        slopes = by_parameters(stream, seen, state, seen.jacobian(state), values)
+        slopes = by_parameters(stream, shifted, state, shifted.jacobian(state), values)
         jacobian = np.zeros((*residual.shape, total))
         for i, slope in zip(own, slopes, strict=True):
             jacobian[..., i * size : (i + 1) * size] = slope

@@ -98,10 +98,10 @@ class Search:
         slope, curvature, noise = by(tell)
         least = float(_PRIOR_STD**-2.0 / self.independent)  # of the prior
         self._curvature = curvature + least * np.eye(self.x.size)
-        self.std = self._spread(noise)
+        self.std = self._standard_deviations(noise)
         return slope + least * self.x
 
-    def _spread(self, noise: Array | None) -> Array:
+    def _standard_deviations(self, noise: Array | None) -> Array:
         """Marginal standard deviations (P,).
 
         With the gradient's covariance `noise` (P, P) per degree of freedom, the sandwich covariance
@@ -122,35 +122,40 @@ class Search:
         found = lsq_linear(root.T, -np.linalg.solve(root, slope), (low, high), method="bvls")
         return np.asarray(found.x)
 
-    def _moved(self, nudge: float) -> list[Document]:
+    def _perturbed_documents(self, nudge: float) -> list[Document]:
         """Robot file at the centre, and with each parameter perturbed in turn."""
         points = [self.x, *(self.x + nudge * np.eye(self.x.size))]
         return [moved(self.document, self.parameters, x) for x in points]
 
     def _by_samples(self, tell: Callable[[float], None]) -> tuple[Array, Array, Array | None]:
         """Gradient (P,), Fisher information and covariance of the gradient (P, P), from truth."""
-        documents, scores = self._moved(fisher_information.NUDGE), list[Score | None]()
+        documents, scores = (
+            self._perturbed_documents(fisher_information.NUDGE),
+            list[Score | None](),
+        )
         for score in self.pool.map(nearby_score, [self.centre] * len(documents), documents):
             scores.append(score)
             tell(len(scores) / (len(documents) + 1))
         centre, *beside = scores
         if centre is None:
-            self._beside = np.inf
+            self._first_order_value = np.inf
             return np.zeros(self.x.size), np.zeros((self.x.size, self.x.size)), None
-        self._beside = self._with_prior(-centre.value, self.x)
+        self._first_order_value = self._with_prior(-centre.value, self.x)
         nudge = fisher_information.NUDGE
         noise = fisher_information.slope_covariance(centre, beside, nudge)
         return *fisher_information.slopes(centre, beside, nudge), noise
 
     def _by_evidence(self, tell: Callable[[float], None]) -> tuple[Array, Array, None]:
         """Gradient (P,) and average information (P, P) of the evidence of the readings."""
-        self._beside = self.value
-        far, fine = average_information.NUDGE, average_information.FINE
-        here = moved(self.document, self.parameters, self.x)
-        nudged = list(zip(*(self._moved(h)[1:] for h in (far, fine, -fine)), strict=True))
+        self._first_order_value = self.value
+        coarse, fine = average_information.NUDGE, average_information.FINE
+        centre = moved(self.document, self.parameters, self.x)
+        nudged = list(
+            zip(*(self._perturbed_documents(h)[1:] for h in (coarse, fine, -fine)), strict=True)
+        )
         parts = [nudged[i :: self.processes] for i in range(min(self.processes, len(nudged)))]
         changes: list[Change | None] = [None] * len(nudged)
-        call = partial(nearby_changes, self.centre, here)
+        call = partial(nearby_changes, self.centre, centre)
         for i, part in enumerate(self.pool.map(call, parts)):
             changes[i :: self.processes] = part
             tell((i + 1) / (len(parts) + 1))
@@ -166,7 +171,7 @@ class Search:
         if centre is None:
             return False
         value = self._with_prior(-centre.score.value, x)
-        if not value < min(self.value, self._beside if beside else np.inf):
+        if not value < min(self.value, self._first_order_value if beside else np.inf):
             return False
         self.x, self.value, self.centre = x, value, centre
         return True

@@ -85,25 +85,25 @@ class TendonModel:
 
     def tendons(self, numbers: Numbers) -> Tendons:
         """Tendons with the parameters `numbers`."""
-        of, before = self._part(numbers), self.rod.tendons
+        part, before = self._part(numbers), self.rod.tendons
         ends = np.unique(before.end, return_inverse=True)[1]
         return replace(
             before,
-            angle=before.angle + of("angle"),
-            radius=before.radius * np.exp(of("radius") + of("every radius")),
-            slack=before.slack + of("slack") + of("every slack"),
-            stiffness=before.stiffness * np.exp(of("elasticity")),
-            softness=before.softness * float(np.exp(of("softness")[0])),
-            play=before.play * np.exp(of("play"))[ends],
+            angle=before.angle + part("angle"),
+            radius=before.radius * np.exp(part("radius") + part("every radius")),
+            slack=before.slack + part("slack") + part("every slack"),
+            stiffness=before.stiffness * np.exp(part("elasticity")),
+            softness=before.softness * float(np.exp(part("softness")[0])),
+            play=before.play * np.exp(part("play"))[ends],
         )
 
     def rod_of(self, numbers: Numbers) -> TendonRod:
         """Rod with the parameters `numbers`."""
-        of = self._part(numbers)
+        part = self._part(numbers)
         stiffness, rest = self.rod.stiffness.copy(), self.rod.rest.copy()
-        stiffness[:, _BENDING] *= np.exp(of("bending"))[self.segment, None]
-        stiffness[:, _EXTENSION] *= np.exp(of("extension")[0])
-        bend = of("rest").reshape(-1, 2) / self._segment_lengths()[:, None]
+        stiffness[:, _BENDING] *= np.exp(part("bending"))[self.segment, None]
+        stiffness[:, _EXTENSION] *= np.exp(part("extension")[0])
+        bend = part("rest").reshape(-1, 2) / self._segment_lengths()[:, None]
         rest[:, _BENDING] += bend[self.segment]
         return replace(self.rod, tendons=self.tendons(numbers), stiffness=stiffness, rest=rest)
 
@@ -123,13 +123,13 @@ class TendonModel:
             without: Parameters (n,) learned without each block of the recording.
             left_open: Parameters (n,) displaced along each direction left to the prior.
         """
-        of, robot = self._part(numbers), self.robot
+        part, robot = self._part(numbers), self.robot
         before = mechanical(robot)
         stiffness = before.mechanics.stiffness.copy()
-        stiffness[:, _BENDING] *= np.exp(of("bending"))[:, None]
-        stiffness[:, _EXTENSION] *= np.exp(of("extension")[0])
+        stiffness[:, _BENDING] *= np.exp(part("bending"))[:, None]
+        stiffness[:, _EXTENSION] *= np.exp(part("extension")[0])
         rest = before.rest.at(np.array([0.0, *before.mechanics.joints]))
-        rest[:, _BENDING] += of("rest").reshape(-1, 2) / self._segment_lengths()[:, None]
+        rest[:, _BENDING] += part("rest").reshape(-1, 2) / self._segment_lengths()[:, None]
         mechanics = replace(before.mechanics, stiffness=stiffness)
         prior = replace(before, mechanics=mechanics, rest_strain=rest)
         std, moment, marker = errors
@@ -149,14 +149,14 @@ class TendonModel:
             SensorParameter(f"{TIP} {kind}", kind, (TIP,), value, np.zeros(6))
             for kind, value in (("frame", se3.log(se3.inverse(frame))), ("mount", se3.log(mount)))
         ]
-        elsewhere = [p for p in robot.sensor_parameters if TIP not in p.streams]
+        other_parameters = [p for p in robot.sensor_parameters if TIP not in p.streams]
         return replace(
             robot,
             mechanics=mechanics,
             tendons=tendons,
             prior=prior,
             sensor_std=robot.sensor_std | {"position": np.full(3, float(marker))},
-            sensor_parameters=(*elsewhere, *known),
+            sensor_parameters=(*other_parameters, *known),
         )
 
     def reached(self, numbers: Numbers, displacement: Array) -> Array:
@@ -178,7 +178,7 @@ class TendonModel:
     ) -> tuple[Array, Equilibrium]:
         """Positions (M, 3) of the marker in the tracker's frame, and the equilibrium shapes."""
         shape = self.shapes(numbers, pulled, start)
-        return self._seen(numbers, shape.pose()[:, -1]), shape
+        return self._marker_positions(numbers, shape.pose()[:, -1]), shape
 
     def slope(
         self, numbers: Numbers, displacement: Array, rows: NDArray[np.intp], at: Equilibrium
@@ -193,7 +193,7 @@ class TendonModel:
         """
         tip, out = at.pose()[:, -1], np.zeros((len(rows), 3, numbers.size))
         by_wrench, by_tension = self._responses(numbers, at)
-        usual = self.reached(numbers, displacement)[rows]
+        effective = self.reached(numbers, displacement)[rows]
         for name, columns in self.where.items():
             for i in range(columns.start, columns.stop):
                 ends = []
@@ -201,9 +201,9 @@ class TendonModel:
                     moved = numbers.copy()
                     moved[i] += sign * _NUDGE * self.std[i]
                     if name in _MARKER:
-                        ends.append(self._seen(moved, tip))
+                        ends.append(self._marker_positions(moved, tip))
                         continue
-                    pulled = usual
+                    pulled = effective
                     if name == "play":
                         pulled = self.reached(moved, displacement)[rows]
                     wrench, tension = misfit(self.rod_of(moved), at.strain, at.tension, pulled)
@@ -220,7 +220,7 @@ class TendonModel:
         The parts are 1 m of displacements, 1 N m^3/2 of missing moments and 1 m of the marker.
         """
         _, at = self.tip(numbers, self.reached(numbers, displacement))
-        turn = self._turn(numbers, at)
+        turn = self._marker_jacobian(numbers, at)
         slopes = at.pose_by(at.strain_by_displacement()), at.pose_by_moment()
         by_pull, by_moment = (turn @ slope[:, -1] for slope in slopes)
         marker = np.broadcast_to(np.eye(3), (len(turn), 3, 3))
@@ -235,18 +235,18 @@ class TendonModel:
 
     def _marker(self, numbers: Numbers) -> tuple[Array, Array]:
         """Poses (4, 4) of the world in the tracker's frame, and of the marker in the tip's."""
-        of, frame, mount = self._part(numbers), self.frame.copy(), self.mount.copy()
-        frame[:3, :3] = frame[:3, :3] @ se3.so3_exp(of("frame turn"))
-        frame[:3, 3] += of("frame shift")
-        mount[:3, 3] += of("mount")
+        part, frame, mount = self._part(numbers), self.frame.copy(), self.mount.copy()
+        frame[:3, :3] = frame[:3, :3] @ se3.so3_exp(part("frame turn"))
+        frame[:3, 3] += part("frame shift")
+        mount[:3, 3] += part("mount")
         return frame, mount
 
-    def _seen(self, numbers: Numbers, tip: Array) -> Array:
+    def _marker_positions(self, numbers: Numbers, tip: Array) -> Array:
         """Positions (M, 3) of the marker in the tracker's frame, for poses (M, 4, 4) of the tip."""
         frame, mount = self._marker(numbers)
         return np.asarray((frame @ tip @ mount)[:, :3, 3])
 
-    def _turn(self, numbers: Numbers, at: Equilibrium) -> Array:
+    def _marker_jacobian(self, numbers: Numbers, at: Equilibrium) -> Array:
         """Jacobian ∂marker/∂(pose of the tip) (M, 3, 6)."""
         frame, mount = self._marker(numbers)
         turn = frame[:3, :3] @ at.pose()[:, -1, :3, :3]
@@ -257,7 +257,7 @@ class TendonModel:
 
         ∂tip/∂wrench is (M, 3, P, 6), ∂tip/∂tension (M, 3, T).
         """
-        turn = self._turn(numbers, at)
+        turn = self._marker_jacobian(numbers, at)
         by_wrench, by_tension = (turn @ at.pose_by(slope)[:, -1] for slope in at.responses())
         return by_wrench.reshape(len(turn), 3, -1, 6), by_tension
 

@@ -27,23 +27,23 @@ _objective: Objective | None = None  # set in worker processes
 
 def _prepare(file: Path) -> None:
     global _objective
-    _answer_interrupts(signal.SIG_IGN)  # ignore the terminal's Ctrl-C while idle
+    _set_interrupt_handler(signal.SIG_IGN)  # ignore the terminal's Ctrl-C while idle
     _objective = pickle.loads(file.read_bytes())
 
 
-def _answer_interrupts(how: Any) -> None:
+def _set_interrupt_handler(handler: Any) -> None:
     if parent_process() is not None:  # not in the main process, as in tests
-        signal.signal(signal.SIGINT, how)
+        signal.signal(signal.SIGINT, handler)
 
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
     """Let Ctrl-C interrupt the computation inside and propagate to the caller as an error."""
-    _answer_interrupts(signal.default_int_handler)
+    _set_interrupt_handler(signal.default_int_handler)
     try:
         yield
     finally:
-        _answer_interrupts(signal.SIG_IGN)
+        _set_interrupt_handler(signal.SIG_IGN)
 
 
 @contextmanager

@@ -146,14 +146,14 @@ class _Run:
         inner = events[(events > 0.0) & (events < duration)]
         for begin, end in pairwise([0.0, *inner.tolist(), duration]):
             self.stages = None
-            self._stretch(begin, end, strain, rate)
+            self._integrate_interval(begin, end, strain, rate)
             strain, rate = self.moments[-1].state[0], self.moments[-1].state[1]
         return DynamicMotion.of(self.acting, self.moments)
 
-    def _stretch(self, begin: float, end: float, strain: Array, rate: Array) -> None:
+    def _integrate_interval(self, begin: float, end: float, strain: Array, rate: Array) -> None:
         """Integrate from one event to the next."""
         middle, time = 0.5 * (begin + end), begin
-        self._begin(begin, middle, strain, rate)
+        self._append_start(begin, middle, strain, rate)
         step = self.fixed or min(_FIRST, end - begin)
         while time < end - 1e-12 * max(end, 1.0):
             if len(self.moments) > _STEPS or step < _SHORTEST:
@@ -161,14 +161,14 @@ class _Run:
                     f"At {time:.4g} s the rod's motion cannot be followed: steps fell below "
                     f"{step:.2g} s; give contacts and holds less stiffness or more damping."
                 )
-            left = end - time
-            whole = self.fixed is not None or left <= step * (1.0 + 1e-9)
-            span = min(step, left) if whole else min(step, 0.5 * left)
-            stepped = self._step(time, span, middle, strain, rate)
-            if stepped is None:
+            remaining = end - time
+            reaches_end = self.fixed is not None or remaining <= step * (1.0 + 1e-9)
+            span = min(step, remaining) if reaches_end else min(step, 0.5 * remaining)
+            attempt = self._step(time, span, middle, strain, rate)
+            if attempt is None:
                 step = 0.3 * span
                 continue
-            accelerations, error, closing = stepped
+            accelerations, error, closing = attempt
             factor = 0.9 * (self.tolerance / max(error, 1e-300)) ** 0.2
             if error > self.tolerance and self.fixed is None:
                 step = max(0.2, min(factor, 0.9)) * span
@@ -181,7 +181,7 @@ class _Run:
             elif factor > 1.3 or factor < 1.0:
                 step = min(span * min(factor, 4.0), _LONGEST)
 
-    def _begin(self, time: float, middle: float, strain: Array, rate: Array) -> None:
+    def _append_start(self, time: float, middle: float, strain: Array, rate: Array) -> None:
         """Append the state at the beginning of an interval between events."""
         equations, state = self.acting.equations, np.stack([strain, rate, np.zeros_like(rate)])
         points = len(equations.rest)
@@ -196,7 +196,7 @@ class _Run:
         self.slopes = matrices(self.acting.equations, at, instant)
         self.factors = {}
 
-    def _renew(self, time: float, middle: float) -> None:
+    def _refresh_at_last_state(self, time: float, middle: float) -> None:
         """Recompute the matrices at the last accepted state."""
         instant = self.acting.at(time, middle)
         self._refresh(self.acting.equations.at(self.moments[-1].state, instant), instant)
@@ -222,15 +222,15 @@ class _Run:
         If the iteration fails, it is repeated once with matrices at the last iterate.
         """
         instants = [self.acting.at(time + c * span, middle) for c in self.method.nodes]
-        solved, states, balances, quick = self._newton(instants, span, strain, rate)
+        solved, states, balances, fast = self._newton(instants, span, strain, rate)
         if solved is None:
             self._refresh(balances[-1], instants[-1])
-            solved, states, balances, quick = self._newton(instants, span, strain, rate)
+            solved, states, balances, fast = self._newton(instants, span, strain, rate)
         if solved is None:
-            self._renew(time, middle)
+            self._refresh_at_last_state(time, middle)
             return None
         error = self._error(solved, span)
-        if not quick:
+        if not fast:
             self._refresh(balances[-1], instants[-1])
         last = self.method.extrapolate(np.ones(1))[0]
         end = np.stack(
@@ -261,7 +261,7 @@ class _Run:
         weights, shape = equations.mesh.weights[:, None], strain.shape
         acceleration = self._guess(span, shape)
         drift = strain + span * method.nodes[:, None, None] * rate
-        before, quick = np.inf, True
+        before, fast = np.inf, True
         for count in range(_ITERATIONS):
             states = np.stack(
                 [
@@ -279,10 +279,10 @@ class _Run:
             if not np.isfinite(moved) or (count > 1 and contraction > 0.9):
                 return None, states, balances, False
             acceleration = acceleration - change
-            quick = quick and (count == 0 or contraction < 0.3)
-            near = contraction / (1.0 - min(contraction, 0.9)) * moved
-            if near < _NEWTON * self.tolerance:
-                return acceleration, states, balances, quick
+            fast = fast and (count == 0 or contraction < 0.3)
+            remaining = contraction / (1.0 - min(contraction, 0.9)) * moved
+            if remaining < _NEWTON * self.tolerance:
+                return acceleration, states, balances, fast
             before = moved
         return None, states, balances, False
 

@@ -164,18 +164,18 @@ class DynamicMotion:
             at = equations.at(states[k], instant)
             rates[k], edges[k, 0] = at.rates[:, :points], instant.base
             edges[k, 1:, :3, :3], edges[k, 1:, :3, 3] = at.turn[points:], at.place[points:]
-        every = np.concatenate(
+        fields = np.concatenate(
             [*np.moveaxis(states[:, :2], 1, 0), *np.moveaxis(rates, 1, 0)], axis=-1
         )
-        values = mesh.interpolate(every[which], s)
+        values = mesh.interpolate(fields[which], s)
         strain, rate, motion = values[:, :6], values[:, 6:12], values[:, 12:].reshape(-1, 4, 3)
         pose = mesh.pose_at(states[which, 0], edges[which], s)
         spring = strain - self.rod.rest(s) + self.rod.retardation * rate
-        back = np.swapaxes(pose[:, :3, :3], -1, -2)[:, None]
-        body = (back @ motion[..., None])[..., 0]
-        felt = body[:, 2] - back[:, 0] @ gravity
+        rotation_inverse = np.swapaxes(pose[:, :3, :3], -1, -2)[:, None]
+        body = (rotation_inverse @ motion[..., None])[..., 0]
+        specific_force = body[:, 2] - rotation_inverse[:, 0] @ gravity
         velocity, acceleration = body[:, :2].reshape(-1, 6), body[:, 2:].reshape(-1, 6)
-        return pose, strain, self.rod.stiffness * spring, velocity, acceleration, felt
+        return pose, strain, self.rod.stiffness * spring, velocity, acceleration, specific_force
 
     def strains(self, time: Array) -> Array:
         """Strains (M, G, 6) at the mesh's points at times (M,), s."""

@@ -174,15 +174,15 @@ class ScenarioLoads:
         base, rates = self.equations.rod.base, np.zeros((4, 3))
         if scenario.base is not None:
             base, rates = scenario.base.at(time)
-        acting = [timed.wrench for timed in scenario.wrenches if _is_there(timed, moment)]
+        acting = [timed.wrench for timed in scenario.wrenches if _is_active(timed, moment)]
         sites = [site(mesh, wrench) for wrench in acting]
         for k, hold in enumerate(scenario.holds):
-            if _is_there(hold, moment) and k in self.anchors:
+            if _is_active(hold, moment) and k in self.anchors:
                 row = site(mesh, Wrench(hold.arclength))
                 row[7:10], row[10], row[11] = self.anchors[k], hold.stiffness, hold.damping
                 sites.append(row)
         half_spaces = zip(scenario.half_spaces, self.planes, strict=True)
-        planes = [row for plane, row in half_spaces if _is_there(plane, moment)]
+        planes = [row for plane, row in half_spaces if _is_active(plane, moment)]
         return AppliedLoads(
             np.ascontiguousarray(base),
             np.asarray(scenario.gravity, dtype=float),
@@ -201,12 +201,12 @@ class ScenarioLoads:
             cables[:, 0] = stiffness * scenario.displacements(time)
             cables[:, 1], cables[:, 2] = stiffness, self.natural
             return cables
-        given = scenario.tensions
-        cables[:, 0] = given(time) if callable(given) else np.asarray(given, dtype=float)
+        tensions = scenario.tensions
+        cables[:, 0] = tensions(time) if callable(tensions) else np.asarray(tensions, dtype=float)
         return cables
 
 
-def _is_there(timed: TimedWrench | HalfSpace | Hold, moment: float) -> bool:
+def _is_active(timed: TimedWrench | HalfSpace | Hold, moment: float) -> bool:
     """Whether a load is active at `moment`, s; if negative, on the initial static shape."""
     if moment < 0.0:
         return timed.start <= 0.0 and timed.stop >= 0.0

@@ -43,15 +43,15 @@ def read_scenario(
     Raises:
         SimulationError: A key is missing, misspelt or impossible.
     """
-    pulled = table.peek("displacements") is not None
-    key = "displacements" if pulled else "tensions"
+    by_displacement = table.peek("displacements") is not None
+    key = "displacements" if by_displacement else "tensions"
     rows = table.matrix(key, tendons)
-    if not pulled and np.any(rows < 0.0):
+    if not by_displacement and np.any(rows < 0.0):
         raise table.fail("tensions", f"is {rows.tolist()}; a tendon only pulls, give N ≥ 0.")
-    if pulled and np.abs(rows).max() > _FARTHEST:
+    if by_displacement and np.abs(rows).max() > _FARTHEST:
         raise table.fail("displacements", f"is {rows.tolist()}; give metres.")
     time = _times(table, len(rows))
-    stiffness = table.vector("tendon_stiffness", tendons, positive=True) if pulled else ()
+    stiffness = table.vector("tendon_stiffness", tendons, positive=True) if by_displacement else ()
     actuation = Actuation(time, rows, table.vector("gravity", 3, gravity))
 
     def pull(moment: float) -> Array:
@@ -63,8 +63,8 @@ def read_scenario(
     motion = _base(table, base)
     table.close()
     scenario = Scenario(
-        tensions=() if pulled else pull,
-        displacements=pull if pulled else None,
+        tensions=() if by_displacement else pull,
+        displacements=pull if by_displacement else None,
         tendon_stiffness=stiffness,
         gravity=actuation.gravity,
         wrenches=tuple(wrenches),
@@ -122,9 +122,9 @@ def _base(table: Table, base: Array) -> BaseMotion | None:
         return None
     time = entry.numbers("time")
     zero = np.zeros((time.size, 3))
-    given = [entry.peek(key) is not None for key in ("positions", "rotations")]
-    shift = entry.matrix("positions", 3) if given[0] else zero
-    turn = entry.matrix("rotations", 3) if given[1] else zero
+    stated = [entry.peek(key) is not None for key in ("positions", "rotations")]
+    shift = entry.matrix("positions", 3) if stated[0] else zero
+    turn = entry.matrix("rotations", 3) if stated[1] else zero
     entry.close()
     if len(shift) != time.size or len(turn) != time.size:
         raise entry.fail(
