@@ -1,1 +1,1 @@
-"""What is believed of a robot before any reading: grid, state, priors, sensors, noise."""
+"""The model of a robot before any reading: grid, state, priors, sensors and noise."""

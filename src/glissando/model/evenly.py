@@ -1,4 +1,4 @@
-"""Evenly chosen rows of long arrays."""
+"""Evenly spaced subsets of the rows of long arrays."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def evenly_chosen(count: int, most: int) -> NDArray[np.intp]:
-    """Indices of `most` of `count` rows from the first to the last, all if there are fewer.
+    """Indices of `most` rows spaced evenly from the first to the last of `count`; all if fewer.
 
     >>> evenly_chosen(100, 4), evenly_chosen(3, 4)
     (array([ 0, 33, 66, 99]), array([0, 1, 2]))

@@ -1,4 +1,4 @@
-"""A batch of factors, linearised: the one form in which everything reaches the solver."""
+"""Batches of linearised factors, the form in which priors and readings reach the solver."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from glissando.model.noise import Loss
 
 @dataclass(frozen=True)
 class Residuals:
-    """Residuals of M factors of the same kind with the weights to judge them by.
+    """Residuals of M factors of the same kind, with square-root information and robust loss.
 
-    `residual` (M, r), `sqrt_info` (M, r, r) whitens it, `loss` forgives outliers where given.
+    `residual` (M, r); `sqrt_info` (M, r, r) whitens it; `loss` is None for least squares.
     """
 
     residual: Array
@@ -23,14 +23,14 @@ class Residuals:
     loss: Loss | None = None
 
     def whiten(self, residual: Array) -> Array:
-        """Whitened residual (M, r), robust weights left out."""
+        """Whitened residual (M, r), without robust weights."""
         return np.einsum("mij,mj->mi", self.sqrt_info, residual)
 
     @np.errstate(over="ignore")
     def cost(self, residual: Array) -> float:
-        """½ |whitened residual|² summed, or its robust loss, with these weights held fixed.
+        """Sum of ½ |whitened residual|², or of its robust loss, at fixed `sqrt_info`.
 
-        A state that a step threw far off costs infinitely much, which refuses the step.
+        A residual (M, r) whose square overflows costs infinity, so that its step is rejected.
         """
         white = self.whiten(residual)
         if self.loss is None:
@@ -38,7 +38,7 @@ class Residuals:
         return float(np.sum(self.loss.cost(np.linalg.norm(white, axis=-1))))
 
     def robust_weights(self) -> Array:
-        """Weight (M,) of each factor under its loss, 1 where none is given."""
+        """Weights (M,) of the factors under their robust loss; 1 without a loss."""
         if self.loss is None:
             return np.ones(self.residual.shape[0])
         return self.loss.weight(np.linalg.norm(self.whiten(self.residual), axis=-1))
@@ -53,10 +53,10 @@ class Residuals:
 class Factors:
     """M factors of the same kind, linearised at one state.
 
-    On a grid a node is its index k·N + n. `nodes` (M, c) are the nodes a factor touches, in the
-    same pattern for all, `dofs` the d components of those nodes it depends on, `jacobian`
-    (M, r, c, d) of the residual. `extras` (M, r, 2 E), where given, is the Jacobian with respect to
-    E numbers that belong to no node, at the time node at or before the factor and at the next.
+    On a grid a node is its index k·N + n. `nodes` (M, c) are the nodes on which a factor depends,
+    in the same pattern for all; `dofs` are the d components of these nodes on which it depends;
+    `jacobian` (M, r, c, d) is that of the residual. `extras` (M, r, 2 E), or None, is the Jacobian
+    by E parameters that belong to no node, at the time node at or before the factor and the next.
     """
 
     nodes: NDArray[np.intp]
@@ -66,7 +66,7 @@ class Factors:
     extras: Array | None = None
 
     def take(self, rows: NDArray[np.bool_]) -> Factors:
-        """Those of the factors."""
+        """Factors of the rows (M,) that a mask selects."""
         terms = replace(
             self.terms, residual=self.terms.residual[rows], sqrt_info=self.terms.sqrt_info[rows]
         )
@@ -74,7 +74,7 @@ class Factors:
         return Factors(self.nodes[rows], self.dofs, self.jacobian[rows], terms, extras)
 
     def whitened(self) -> tuple[Array, Array]:
-        """Residual (M, r) and Jacobian (M, r, c·d + 2 E), whitened, robust weights left out."""
+        """Residual (M, r) and Jacobian (M, r, c·d + 2 E), without robust weights."""
         m, r, c, d = self.jacobian.shape
         residual = self.terms.whiten(self.terms.residual)
         jacobian = self.jacobian.reshape(m, r, c * d)

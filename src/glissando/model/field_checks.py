@@ -1,4 +1,4 @@
-"""What a model is made with in Python, checked as robot files are: shapes, signs and units."""
+"""Checks of the fields of model classes, as in robot files: shapes, signs and units."""
 
 from __future__ import annotations
 
@@ -10,47 +10,47 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 
-_TURNED = 1e-6  # by which a rotation may differ from one
-_LONGER = 10.0  # times its length that a robot may be at rest
-_FAR = 50.0  # m of any position
+_TURNED = 1e-6  # largest entry of |Rᵀ R − I| of a rotation
+_LONGER = 10.0  # largest extension of a rest strain
+_FAR = 50.0  # m, largest distance of a pose from the origin
 
 
 def is_number(value: object) -> bool:
-    """Whether a value is a real number, which may be infinite."""
+    """Whether a value is a real number; infinity is one, NaN is not."""
     return isinstance(value, Real) and value == value
 
 
 class FieldChecks:
-    """The fields of a frozen dataclass as they are given; each method checks one and keeps it.
+    """Checks of a frozen dataclass: each method converts a field and stores the result.
 
     Every method raises GlissandoError, which names the class, the field and the value.
 
     Args:
-        model: The dataclass, while it is being made.
+        model: The dataclass instance under construction.
     """
 
     def __init__(self, model: Any) -> None:
         self._model = model
 
     def fail(self, name: str, problem: str) -> GlissandoError:
-        """An error that names the field."""
+        """Error that names the class and the field."""
         return GlissandoError(f"{type(self._model).__name__}: {name} {problem}")
 
     def numbers(
         self, name: str, *shapes: tuple[int, ...], above: float | None = None,
         least: float | None = None,
     ) -> Array:  # fmt: skip
-        """A field as finite numbers of one of some shapes.
+        """Convert a field to an array of finite numbers, a copy, of one of the given shapes.
 
         Args:
-            name: The field.
-            shapes: Shapes that it may have; −1 stands for any number from 1, () for a number.
-            above: What every number exceeds, if anything.
-            least: What no number falls below, if anything.
+            name: Name of the field.
+            shapes: Admissible shapes; −1 stands for any length from 1, () for a scalar.
+            above: Bound that every number must exceed, if any.
+            least: Smallest admissible number, if any.
         """
         given = getattr(self._model, name)
         try:
-            value = np.array(given, dtype=float)  # its own: the caller may go on with theirs
+            value = np.array(given, dtype=float)  # a copy: the caller may change the original
         except (TypeError, ValueError):
             raise self.fail(name, f"is {given!r}; give numbers.") from None
         if not any(_fits(value.shape, shape) for shape in shapes):
@@ -69,13 +69,13 @@ class FieldChecks:
         return value
 
     def number(self, name: str, *, above: float | None = None, least: float | None = None) -> float:
-        """A field as one finite number."""
+        """Convert a field to one finite number."""
         value = float(self.numbers(name, (), above=above, least=least))
         object.__setattr__(self._model, name, value)
         return value
 
     def places(self, name: str) -> Array:
-        """A field as arclengths (P,) that increase from above 0, none or more."""
+        """Convert a field to arclengths (P,) that increase from above 0, possibly none."""
         given = getattr(self._model, name)
         if np.size(given) == 0:
             object.__setattr__(self._model, name, np.zeros(0))
@@ -86,7 +86,7 @@ class FieldChecks:
         return value
 
     def pose(self, name: str) -> Array:
-        """A field as a pose (4, 4)."""
+        """Convert a field to a pose (4, 4), in metres."""
         value = self.numbers(name, (4, 4))
         rotation = value[:3, :3]
         turned = np.abs(rotation.T @ rotation - np.eye(3)).max() < _TURNED
@@ -98,7 +98,7 @@ class FieldChecks:
         return value
 
     def rest(self, segments: int) -> None:
-        """`rest_strain` of a body or of its segments, which a robot can have."""
+        """Check `rest_strain` of a body (6,) or of its segments: a plausible extension."""
         strain = self.numbers("rest_strain", (6,), (segments, 6))
         wrong = strain[..., 2][(strain[..., 2] <= 0.0) | (strain[..., 2] > _LONGER)]
         if wrong.size:
@@ -109,7 +109,7 @@ class FieldChecks:
             )
 
     def segments(self) -> int:
-        """`psd_strain_arclength` of a body or of its segments, `joints`, `jumps`: how many."""
+        """Number of segments, from checked `joints`, `psd_strain_arclength` and `jumps`."""
         joints = self.places("joints").size
         psd = self.numbers("psd_strain_arclength", (6,), (joints + 1, 6), above=0.0)
         if np.size(self._model.jumps) or psd.ndim > 1 < len(psd):

@@ -1,4 +1,4 @@
-"""Nodes over arclength × time, the span each node stands for, and the cell of a point."""
+"""Grids over arclength × time, the span that each node represents, and cells of points."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from glissando.model.short_repr import ShortRepr
 Index = NDArray[np.intp]
 
 SAME = 1e-9
-"""Metres: places of the robot that are no farther apart are one, as decimals are rounded."""
-_MOST_NODES = 1e7  # of a grid; more is another unit
+"""Distance in metres up to which arclengths count as equal, since decimals are rounded."""
+_MOST_NODES = 1e7  # time nodes of a grid; more mean a wrong unit
 
-_CROWDED = 0.05  # of an interval: a reading as near to another node gets none of its own
-_TOLERANCE = 1e-9  # of a step beside a node is on it, of the length outside the ends is the end
+_CROWDED = 0.05  # of an interval: a reading closer to a node gets no node of its own
+_TOLERANCE = 1e-9  # relative: of a step, to lie on a node; of the length, to lie inside the grid
 
 
 def _spans(nodes: Array, lone: float = 1.0) -> Array:
-    """Half the distance to both neighbours (half spans at the ends); `lone` for a lone node."""
+    """Span of each node: half of the adjacent intervals; `lone` for a single node."""
     if nodes.size == 1:
         return np.array([lone])
     spans, halves = np.zeros(nodes.size), 0.5 * (nodes[1:] - nodes[:-1])
@@ -35,7 +35,7 @@ def _spans(nodes: Array, lone: float = 1.0) -> Array:
 
 @dataclass(frozen=True)
 class Cells:
-    """Where points lie: the lower node, the step of the interval and the place inside it.
+    """Cells of points along one direction: lower node, interval length and offset in it.
 
     `lower` (M,) index of the node below, `step` (M,) interval length, `offset` (M,) distance
     from that node (0 ≤ offset ≤ step). A grid of one node has step and offset zero.
@@ -47,16 +47,16 @@ class Cells:
 
     @property
     def share(self) -> Array:
-        """How far into the interval (M,), from 0 to 1."""
+        """Relative position (M,) in the interval, from 0 to 1."""
         return np.asarray(self.offset / np.where(self.step > 0.0, self.step, 1.0))
 
     @property
     def nearest(self) -> Index:
-        """The node (M,) of points that lie on one."""
+        """Index (M,) of the node at each point, for points that lie on nodes."""
         return np.asarray(self.lower + ((self.offset >= self.step) & (self.step > 0.0)))
 
     def take(self, rows: Index) -> Cells:
-        """The cells of some of the points."""
+        """Cells of the points with the given indices."""
         return Cells(self.lower[rows], self.step[rows], self.offset[rows])
 
 
@@ -74,15 +74,15 @@ def _locate(nodes: Array, values: Array) -> Cells:
 
 
 def reads_from(node: float, before: float | None) -> float:
-    """The time from which on readings are of the intervals from a node on, s.
+    """Time, s, from which readings belong to the intervals that begin at a node.
 
-    What is read a hair before it, relative to the step from the node before, lies on it.
+    A reading within rounding before the node, relative to the step from `before`, lies on it.
     """
     return node if before is None else node - _TOLERANCE * (node - before)
 
 
 def node_at(arclength: Array, place: float, what: str) -> int:
-    """Number of the node (N,) at a place, m, or OutsideGridError, which names what is there."""
+    """Index of the node at a place, m. Raises OutsideGridError, naming `what`, without one."""
     at = int(np.argmin(np.abs(arclength - place)))
     if abs(arclength[at] - place) > SAME:
         raise OutsideGridError(
@@ -93,10 +93,10 @@ def node_at(arclength: Array, place: float, what: str) -> int:
 
 
 def points_of(arclength: ArrayLike, time: ArrayLike) -> tuple[Array, Array]:
-    """Arclengths and times that broadcast, as arrays of one shape.
+    """Broadcast arclengths and times to arrays of one shape.
 
     Raises:
-        OutsideGridError: They are no numbers, or their shapes do not fit.
+        OutsideGridError: They are not numbers, or their shapes do not broadcast.
     """
     try:
         given = np.asarray(arclength), np.asarray(time)
@@ -111,12 +111,12 @@ def points_of(arclength: ArrayLike, time: ArrayLike) -> tuple[Array, Array]:
 
 
 def segment_at(joints: Array, arclength: Array) -> Index:
-    """Number (M,) of the segment at arclengths (M,); at a joint the one beyond it."""
+    """Index (M,) of the segment at arclengths (M,); at a joint that of the segment beyond."""
     return np.searchsorted(joints, arclength + SAME, side="right")
 
 
 def with_places(nodes: Array, places: Array) -> Array:
-    """Arclength nodes with some places among them; a node within 1e-9 m of one is that place."""
+    """Arclength nodes and the given places, which replace nodes within 1e-9 m of them."""
     apart = np.abs(nodes[:, None] - places).min(axis=1, initial=np.inf)
     return np.union1d(nodes[apart > SAME], places)
 
@@ -125,10 +125,10 @@ def with_places(nodes: Array, places: Array) -> Array:
 class Grid(ShortRepr):
     """Nodes over arclength (N,) in metres and time (K,) in seconds, both increasing.
 
-    A node (k, n) stands for the time span `time_spans[k]` and the arclength span
-    `arclength_spans[n]`; prior densities are divided by them. A grid of a single time (a static
-    shape) or a single arclength gives that direction span 1. A grid that continues another says
-    which time node came `before` its first.
+    A node (k, n) represents the time span `time_spans[k]` and the arclength span
+    `arclength_spans[n]`; prior densities are divided by them. The only time node (of a static
+    shape) or arclength node of a grid has a span of 1. In a grid that continues another, `before`
+    is the time node that precedes its first.
 
     >>> Grid([0.0, 0.5, 1.0], [0.0, 0.1]).arclength_spans
     array([0.25, 0.5 , 0.25])
@@ -168,21 +168,21 @@ class Grid(ShortRepr):
 
     @staticmethod
     def apart(arclength: ArrayLike, count: int) -> Grid:
-        """A grid of `count` single moments that know nothing of each other, of span 1 each.
+        """Grid of `count` independent static shapes, with a time span of 1 each.
 
-        Their times are their numbers.
+        Their times are their indices.
         """
         grid = Grid(arclength, np.arange(count))
         object.__setattr__(grid, "time_spans", np.ones(count))
         return grid
 
     def at_times(self, time: Array, before: float | None = None, lone: float = 1.0) -> Grid:
-        """The same arclength nodes at other times (K,), which are not checked.
+        """Grid with the same arclength nodes and other time nodes (K,), which are not checked.
 
         Args:
-            time: Seconds, increasing.
-            before: The node before the first of them, if there is one.
-            lone: What a single node with none before stands for, s.
+            time: Time nodes, increasing, s.
+            before: The time node that precedes the first, s, if there is one.
+            lone: Span of a single time node that no node precedes, s.
         """
         nodes = time if before is None else np.concatenate([[before], time])
         spans = _spans(nodes, lone)[nodes.size - time.size :]
@@ -191,13 +191,13 @@ class Grid(ShortRepr):
         return out
 
     def with_nodes_at(self, time: ArrayLike) -> Grid:
-        """The grid with a further node at each time of readings that share an interval.
+        """Grid with further time nodes at the readings of intervals that contain several.
 
-        Readings in one interval share the error of its bridge (13), which counts as independent
-        from reading to reading; at nodes of their own nothing is left to share.
+        Readings in one interval share its interpolation error (13), although this is treated as
+        independent from reading to reading. At time nodes of their own it vanishes.
 
         Args:
-            time: When readings were taken (M,), s; one alone in an interval gets no node.
+            time: Times (M,) of the readings, s; a single one in an interval gets no node.
 
         >>> Grid([0.0, 0.5], [0.0, 1.0, 2.0]).with_nodes_at([0.2, 0.6, 1.5]).time
         array([0. , 0.2, 0.6, 1. , 2. ])
@@ -225,7 +225,7 @@ class Grid(ShortRepr):
         return self.time.size, self.arclength.size
 
     def contains(self, arclength: Array, time: Array) -> NDArray[np.bool_]:
-        """Which points (M,) lie on the grid, ends included."""
+        """Mask (M,) of the points that lie on the grid, ends included."""
         inside = np.ones(np.broadcast(arclength, time).shape, dtype=bool)
         for nodes, values in ((self.arclength, arclength), (self.time, time)):
             slack = _TOLERANCE * max(1.0, float(nodes[-1] - nodes[0]))
@@ -268,7 +268,7 @@ def _listed(rows: Index) -> str:
 
 
 def uniform_grid(length: float, nodes: int, start: float, stop: float, rate: float) -> Grid:
-    """Evenly spaced grid: `nodes` over [0, length] m, about `rate` a second over [start, stop]."""
+    """Evenly spaced grid: `nodes` over [0, length] m, about `rate` per s over [start, stop] s."""
     given = length, nodes, start, stop, rate
     if (
         not all(is_number(each) and np.isfinite(each) for each in given)

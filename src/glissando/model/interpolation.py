@@ -1,7 +1,7 @@
-"""Points between the nodes, and what is known there given the nodes.
+"""States at points between the nodes, conditional on the nodes.
 
-On a grid line only the two nodes of that line are touched, on a node one. Leftover covariance is
-what nodes cannot tell about a point between them (equation 12).
+A point on a grid line depends on the two nodes of that line, a point on a node on that node alone.
+The bridge covariance is that of a point whose nodes are known (equation 12).
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from glissando.model.state import State
 
 @dataclass(frozen=True)
 class Interpolation:
-    """State at M points, with what it takes to carry covariance there.
+    """State at M points, with its Jacobian by the nodes and its bridge covariance.
 
-    `nodes` (M, c) touched nodes k·N + n (c = 1, 2 or 4), `jacobian` (M, 18, c, dof) of the state at
-    the points with respect to those nodes, `bridge` the bridge covariance (M, 18, 18), or what
-    computes it, as many ask for the state alone.
+    `nodes` (M, c) are indices k·N + n of the nodes on which points depend (c = 1, 2 or 4),
+    `jacobian` (M, 18, c, dof) is that of the state at the points by those nodes, and `bridge` the
+    bridge covariance (M, 18, 18), or a function that computes it when it is needed.
     """
 
     state: State
@@ -42,16 +42,16 @@ class Interpolation:
         return int(self.jacobian.shape[-1])
 
     def take(self, rows: slice) -> Interpolation:
-        """The interpolation at some of its points."""
+        """Interpolation at the points of a slice."""
         own = self.state.take(rows), self.nodes[rows], self.jacobian[rows]
         return Interpolation(*own, lambda: self.cov[rows])
 
 
 @dataclass(frozen=True)
 class Points:
-    """Points of a grid that touch equally many nodes; `rows` (M,) says which of the given ones.
+    """Points that depend on equally many nodes; `rows` (M,) are their indices among all points.
 
-    `along` and `through` are the cells they lie in, along arclength and through time.
+    `along` and `through` are their cells along arclength and along time.
     """
 
     rows: Index

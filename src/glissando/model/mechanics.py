@@ -1,6 +1,6 @@
-"""A rod's mechanics: what its segments are made of, what they weigh, and a tool at the tip.
+"""A rod's mechanics: stiffness and mass of its segments, gravity, and a tool at the tip.
 
-Internal wrenches W = [n; m] are what the part beyond a cross-section exerts on the part before it,
+An internal wrench W = [n; m] is exerted by the part beyond a cross-section on the part before it,
 in the body frame, [force N, moment N m]. Source: equation (26).
 """
 
@@ -19,23 +19,23 @@ from glissando.model.grid import SAME, Index, segment_at
 from glissando.model.table import Table
 
 _GRAVITY = 9.81  # m/s², only to judge whether a rod could carry its own weight
-_REACHES = np.finfo(float).max  # the end of a tube that states none
-_DROOP = 1e4  # weight · length³ / bending stiffness beyond which units are wrong
+_REACHES = np.finfo(float).max  # end of a tube for which none is given
+_DROOP = 1e4  # weight · length² / bending stiffness above which a unit is wrong
 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """What a rod of S segments is made of.
+    """Stiffness, mass and tool of a rod of S segments.
 
     Attributes:
         stiffness: Of each segment (S, 6): shear, shear, extension in N; bending, bending, twist in
             N m².
         mass_per_length: Of each segment (S,), or one for all, kg/m.
-        joints: Where segments meet (S−1,), m.
-        gravity: Acceleration (3,) in the world frame, m/s²; of static shapes also one each (S, 3).
+        joints: Arclengths (S−1,) at which segments meet, m.
+        gravity: Acceleration (3,) in the world frame, m/s²; or (M, 3), one for each static shape.
         tip_mass: Mass of a tool at the tip, kg.
         tip_center: Its centre of mass (3,) in the frame of the tip's cross-section, m.
-        end: Where the last tube ends, at the tip or beyond, m.
+        end: Arclength at which the last tube ends, at the tip or beyond, m.
     """
 
     stiffness: Array
@@ -60,16 +60,16 @@ class Mechanics:
         stated.numbers("tip_center", (3,))
 
     def segment(self, arclength: Array) -> Index:
-        """Number (M,) of the segment at arclengths (M,); at a joint the one beyond it."""
+        """Index (M,) of the segment at arclengths (M,); at a joint that of the segment beyond."""
         return segment_at(self.joints, arclength)
 
     def tip_wrench(self, rotation: Array) -> Array:
-        """Weight of the tool (…, 6) in the frame of the tip, whose rotation is (…, 3, 3)."""
+        """Wrench (…, 6) of the tool's weight in the tip's frame, whose rotation is (…, 3, 3)."""
         force = self._tip_force(rotation)
         return np.concatenate([force, np.cross(self.tip_center, force)], axis=-1)
 
     def tip_slope(self, rotation: Array) -> Array:
-        """Slope (…, 6, 3) of the tool's weight by a turn of the tip, in its own frame."""
+        """Jacobian (…, 6, 3) of `tip_wrench` by a rotation of the tip in its own frame."""
         by_turn = se3.hat3(self._tip_force(rotation))
         return np.concatenate([by_turn, se3.hat3(self.tip_center) @ by_turn], axis=-2)
 
@@ -77,7 +77,7 @@ class Mechanics:
         return self.tip_mass * np.einsum("...ji,...j->...i", rotation, self.gravity)
 
     def to_table(self) -> dict[str, Any]:
-        """What a robot file's [mechanics] says, as `read_mechanics` reads it."""
+        """Table [mechanics] of a robot file, in the form that `read_mechanics` reads."""
         table: dict[str, Any] = {
             "stiffness": self.stiffness.tolist(),
             "mass_per_length": self.mass_per_length.tolist(),
@@ -109,9 +109,9 @@ def _area(tubes: list[tuple[float, float]]) -> float:
 
 
 def read_mechanics(robot: Table) -> Mechanics | None:
-    """The [mechanics] of a robot file, or None where it has none.
+    """Mechanics from the table [mechanics] of a robot file, or None without that table.
 
-    Either `tubes` with `young`, `poisson` and `density`, or `stiffness` with `mass_per_length`.
+    It has `tubes` with `young`, `poisson` and `density`, or `stiffness` with `mass_per_length`.
 
     Raises:
         GlissandoError: A value is missing, impossible, or most likely in another unit.
@@ -131,7 +131,7 @@ def read_mechanics(robot: Table) -> Mechanics | None:
 
 
 def strange_gravity(gravity: Array) -> str:
-    """What is wrong with an acceleration (3,) or accelerations (S, 3); empty if nothing is."""
+    """Message about an implausible acceleration, (3,) or (M, 3), m/s²; empty if plausible."""
     size = np.linalg.norm(np.atleast_2d(gravity), axis=1)
     wrong = size[(size > 0.0) & ((size < 1.5) | (size > 30.0))]
     if not wrong.size:
@@ -140,10 +140,10 @@ def strange_gravity(gravity: Array) -> str:
 
 
 def implausible(mechanics: Mechanics, length: float) -> tuple[str, str] | None:
-    """What of a rod's mechanics is most likely in another unit: the field, and what to do.
+    """Field of a rod's mechanics that is probably in a wrong unit, with a message; else None.
 
     Args:
-        mechanics: The mechanics.
+        mechanics: The mechanics to check.
         length: Length of the rod, m.
     """
     if strange := strange_gravity(mechanics.gravity):
@@ -168,7 +168,7 @@ def implausible(mechanics: Mechanics, length: float) -> tuple[str, str] | None:
 
 
 def _too_thick(mechanics: Mechanics) -> tuple[str, str] | None:
-    """What is said of bending and extension that no rod has together."""
+    """Field and message if bending over extension stiffness implies an impossible thickness."""
     gyration = np.sqrt(mechanics.stiffness[:, 3:5].max(axis=1) / mechanics.stiffness[:, 2])
     if np.all((gyration <= 0.1) & (gyration >= 1e-6)):
         return None
@@ -180,7 +180,7 @@ def _too_thick(mechanics: Mechanics) -> tuple[str, str] | None:
 
 
 def _too_soft(mechanics: Mechanics, length: float) -> tuple[str, str] | None:
-    """What is said of a rod that its own weight would fold."""
+    """Field and message if a rod of that bending stiffness would collapse under its weight."""
     bending = mechanics.stiffness[:, 3:5].min(axis=1)
     weight = _GRAVITY * (mechanics.mass_per_length * length + mechanics.tip_mass)
     droop = weight * length**2 / bending
@@ -196,7 +196,7 @@ def _too_soft(mechanics: Mechanics, length: float) -> tuple[str, str] | None:
 
 
 def _tubes(table: Table) -> dict[str, Any]:
-    """Segments between the ends of concentric tubes."""
+    """Fields of `Mechanics` from concentric tubes: a segment between successive ends."""
     young = table.number("young")
     if not 1e4 <= young <= 2e12:
         raise table.fail("young", f"is {young:g} Pa; give pascals: 200e9 for 200 GPa.")
@@ -236,7 +236,7 @@ def _tubes(table: Table) -> dict[str, Any]:
 
 
 def _sections(table: Table) -> dict[str, Any]:
-    """Segments that state their stiffness."""
+    """Fields of `Mechanics` from the stiffness of each segment."""
     joints = table.places("joints")
     rows = table.peek("stiffness")
     several = isinstance(rows, list) and bool(rows) and isinstance(rows[0], list)

@@ -1,4 +1,4 @@
-"""What fits into the memory of this machine."""
+"""A check that an estimate fits into the memory of this machine."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ _SHARE = 0.6  # of the machine's memory that an estimate may take
 
 
 def require_memory(wanted: float, what: str, advice: str) -> None:
-    """Make sure, before it is taken, that there is memory for an estimate.
+    """Check, before allocation, that the machine has the memory for an estimate.
 
     Args:
-        wanted: Bytes, about.
-        what: What would take them, for the message.
-        advice: What to do.
+        wanted: Approximate number of bytes.
+        what: Beginning of the message: what needs them.
+        advice: End of the message: what to do.
 
     Raises:
-        OutsideGridError: It is more than the machine can give.
+        OutsideGridError: More than the admissible share of the machine's memory is needed.
     """
     if wanted > _SHARE * _installed():
         raise OutsideGridError(
@@ -28,7 +28,7 @@ def require_memory(wanted: float, what: str, advice: str) -> None:
 
 
 def _installed() -> float:
-    """Bytes of memory of this machine; 8 GB where the system does not say."""
+    """Memory of this machine in bytes; 8 GB where the system does not report it."""
     try:
         return float(os.sysconf("SC_PHYS_PAGES")) * float(os.sysconf("SC_PAGE_SIZE"))
     except (AttributeError, ValueError, OSError):

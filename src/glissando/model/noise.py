@@ -1,4 +1,4 @@
-"""Covariances to whiten with, and losses that forgive outliers."""
+"""Noise covariances, their square-root information, and robust losses."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from glissando.errors import SensorError
 from glissando.geometry.se3 import Array
 from glissando.model.field_checks import is_number
 
-_ASYMMETRY = 1e-9  # of both standard deviations, which is rounding
+_ASYMMETRY = 1e-9  # relative to both standard deviations, due to rounding
 
 
 def covariance_matrix(given: ArrayLike, rows: int, what: str) -> Array:
     """A covariance (rows, rows) or (M, rows, rows) from a matrix, variances (rows,) or a scalar.
 
-    Raises SensorError when the shape does not fit or it is not positive definite.
+    Raises SensorError when the shape does not fit, or it is not symmetric positive definite.
     """
     try:
         cov = np.asarray(given, dtype=float)
@@ -51,7 +51,7 @@ def covariance_matrix(given: ArrayLike, rows: int, what: str) -> Array:
 
 
 def sqrt_information(cov: Array) -> Array:
-    """W (…, r, r) with Wᵀ W = cov⁻¹, so that W @ residual is white.
+    """Square-root information W (…, r, r): Wᵀ W = cov⁻¹, so that W @ residual is white.
 
     Raises:
         LinAlgError: The covariance is not positive definite.
@@ -62,13 +62,13 @@ def sqrt_information(cov: Array) -> Array:
 
 
 class Loss(Protocol):
-    """A robust loss: how much a reading of whitened length `norm` still counts."""
+    """A robust loss, a function of the norm of a reading's whitened residual."""
 
     def weight(self, norm: Array) -> Array:
-        """Weight (M,) of the squared residual, 1 for a trusted reading, towards 0 for outliers."""
+        """Weight (M,) of the squared residual: 1 for inliers, towards 0 for outliers."""
 
     def cost(self, norm: Array) -> Array:
-        """Loss (M,) of a whitened residual norm, ½ norm² when it is small."""
+        """Loss (M,) at the norm of a whitened residual, ½ norm² where it is small."""
 
 
 def _require_positive(threshold: float) -> None:

@@ -1,4 +1,4 @@
-"""A robot as it is known before any reading."""
+"""The description of a robot before any reading."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from glissando.model.state import DOF
 from glissando.model.tendons.tendons import Tendons
 from glissando.model.tube import Tube
 
-SHORTEST, LONGEST = 1e-3, 50.0  # m of a robot
-_BLOCKS = 4.0  # square blocks of numbers that an estimate keeps for a time node
+SHORTEST, LONGEST = 1e-3, 50.0  # admissible lengths of a robot, m
+_BLOCKS = 4.0  # dense square blocks that an estimate stores for each time node
 
 
 @dataclass(frozen=True)
@@ -38,17 +38,17 @@ class Robot(ShortRepr):
         length: Length, m.
         arclength_nodes: Arclength nodes (N,), m.
         time_rate: Time nodes a second.
-        prior: Prior of its motion.
+        prior: Gaussian prior of its shape and motion.
         sensor_std: Standard deviations by kind of sensor.
         sensor_loss: Robust loss by kind of sensor.
         sensor_range: Largest value that a kind of sensor can report, SI units.
-        sensor_rate: Readings a second of trackers that are polled faster than they measure.
+        sensor_rate: Measurement rate, 1/s, by kind of tracker that is polled faster than this.
         sensor_parameters: Frames, mounts, offsets and biases of streams by name.
-        mechanics: What it is made of, where that is stated.
-        tube: A whole-body tube whose coverage is promised, if one was calibrated.
-        tendons: Its tendons, where they are stated.
+        mechanics: Stiffness, mass and tool; None if not given.
+        tube: Whole-body tube of guaranteed coverage; None if not calibrated.
+        tendons: Tendons; None if not given.
         nodes_at_readings: Whether readings that share a time step get time nodes of their own.
-        file: The file that it was read from, if there is one.
+        file: File from which the robot was read, if any.
     """
 
     name: str
@@ -88,21 +88,21 @@ class Robot(ShortRepr):
         object.__setattr__(self, "sensor_std", std)
 
     def stated_transform(self, kind: str, stream: str) -> Array:
-        """Logarithm (6,) of a stream's frame or mount as stated; zero where it is not."""
+        """Logarithm (6,) of the given frame or mount of a stream; zeros if none is given."""
         stated = (p for p in self.sensor_parameters if p.kind == kind and stream in p.streams)
         return next((parameter.value for parameter in stated), np.zeros(6))
 
     def grid(self, start: float, stop: float, readings: Sequence[Readings] = ()) -> Grid:
-        """The robot's grid over a window.
+        """Grid of the robot over a time window.
 
         Args:
             start: First time, s.
             stop: Last time, s.
-            readings: What will be estimated from, for a robot of which `nodes_at_readings`.
+            readings: Readings to add time nodes at, if the robot has `nodes_at_readings`.
 
         Raises:
-            OutsideGridError: Times are no numbers, or an estimate would need more memory than the
-                machine can give.
+            OutsideGridError: The times are not numbers in order, or an estimate would need more
+                memory than the machine has.
         """
         if not (is_number(start) and is_number(stop) and start <= stop):
             raise OutsideGridError(
@@ -125,7 +125,7 @@ class Robot(ShortRepr):
         )
 
     def memory(self, count: float) -> float:
-        """Bytes that an estimate of so many time nodes takes, about.
+        """Approximate memory, in bytes, of an estimate over `count` time nodes.
 
         Args:
             count: Number of time nodes.
@@ -134,7 +134,7 @@ class Robot(ShortRepr):
 
 
 def _std(stated: FieldChecks, kind: str, given: ArrayLike) -> Array:
-    """Standard deviations of a kind of sensor, position and rotation as a pair or by component."""
+    """Checked standard deviations of a kind of sensor; a pair [linear, angular] is expanded."""
     try:
         std = np.atleast_1d(np.array(given, dtype=float))
     except (TypeError, ValueError):

@@ -1,10 +1,10 @@
-"""Times in words, told apart also since 1970."""
+"""Times as text, with enough digits to distinguish Unix times."""
 
 from __future__ import annotations
 
 
 def seconds(*times: float, decimals: int = 3) -> str:
-    """Times in seconds, with so many decimals at most and every digit before them.
+    """Format times in seconds with at most `decimals` decimals and all integer digits.
 
     >>> seconds(1.7e9 + 0.25, 1.7e9 + 3.0), seconds(1.0 / 3.0)
     ('1700000000.25 to 1700000003', '0.333')

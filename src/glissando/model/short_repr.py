@@ -1,4 +1,4 @@
-"""Objects that show themselves in a few lines, whatever arrays they hold."""
+"""Short representations of objects that hold large arrays."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-_FEW, _LONGEST = 6, 100  # numbers of an array, and letters of a value, that are shown as they are
+_FEW, _LONGEST = 6, 100  # array elements and characters up to which a value is shown whole
 
 
 class ShortRepr:
-    """A base of dataclasses whose repr gives the shapes of arrays and the sizes of lists.
+    """Base class of dataclasses whose repr gives shapes of arrays and sizes of lists.
 
-    They are equal only to themselves: whether arrays are alike is no single truth.
+    Instances compare by identity, since a comparison of arrays has no single truth value.
     """
 
     def __init_subclass__(cls, **more: Any) -> None:
@@ -31,7 +31,7 @@ def _brief(thing: Any) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A value in a few letters."""
+    """Short text for a value."""
     if isinstance(value, np.ndarray):
         if value.size <= _FEW and value.ndim <= 1:
             return "[" + ", ".join(f"{v:.4g}" for v in value.ravel()) + "]"

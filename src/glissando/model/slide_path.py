@@ -15,17 +15,17 @@ from glissando.errors import SimulationError
 from glissando.geometry.se3 import Array
 from glissando.model.short_repr import ShortRepr
 
-_SLACK = 1e-6  # of a limit, for rounding
-_MOST = 1e9  # s, m or m/s, beyond which nothing is meant
+_SLACK = 1e-6  # relative tolerance of limits, for rounding
+_MOST = 1e9  # s, m or m/s; larger numbers are refused
 _CYCLES = 100_000
-_REST = 0.6  # s at each turn of a path to calibrate by
+_REST = 0.6  # s of rest at each stop of a calibration path
 _MOST_OF_A_STAGE = {"stroke": (10.0, "m"), "speed": (10.0, "m/s"), "acceleration": (1e3, "m/s²")}
-_NO_WAY = 1e-9  # m, a move too short to be one
+_NO_WAY = 1e-9  # m; shorter moves are left out
 
 
 @dataclass(frozen=True)
 class SlideLimits:
-    """What a stage can do: `stroke` m, `speed` m/s, `acceleration` m/s²."""
+    """Limits of a linear stage: `stroke` m, `speed` m/s, `acceleration` m/s²."""
 
     stroke: float
     speed: float
@@ -44,11 +44,11 @@ class SlideLimits:
 
 @dataclass(frozen=True)
 class SlidePath(ShortRepr):
-    """Displacement of a sensor from the tip towards the base, at constant acceleration by pieces.
+    """Displacement of a sensor from the tip towards the base, of stepwise constant acceleration.
 
     Knots `time` (K,) s, `displacement` (K,) m, `speed` (K,) m/s; before the first and after the
-    last the stage holds. The sensor's arclength is length − displacement + offset. Raises
-    SimulationError when the path leaves the stroke, or is faster or sharper than the limits.
+    last the stage is at rest. The sensor's arclength is length − displacement + offset. Raises
+    SimulationError when the path exceeds the limits of stroke, speed or acceleration.
     """
 
     time: Array
@@ -134,7 +134,7 @@ class SlidePath(ShortRepr):
 
     @staticmethod
     def hold(displacement: float, duration: float, limits: SlideLimits) -> SlidePath:
-        """The sensor stays where it is."""
+        """Path of a sensor that rests at a displacement, m, for a duration, s."""
         if not (np.isfinite(duration) and duration > 0.0):
             raise SimulationError(f"A slide of {duration:g} s cannot be; give seconds above zero.")
         still = np.full(2, float(displacement))
@@ -142,9 +142,9 @@ class SlidePath(ShortRepr):
 
     @staticmethod
     def moves(stops: ArrayLike, limits: SlideLimits, *, speed: float | None = None) -> SlidePath:
-        """From stop to stop (S,) as fast as `speed` (the limit unless given) and the limits allow.
+        """Path between stops (S,), m, as fast as `speed` (by default the limit) and limits allow.
 
-        A trapezoid of speed each; a triangle where the way is short.
+        The speed profile of a move is a trapezoid, or a triangle where the move is short.
         """
         places = np.asarray(stops, dtype=float)
         cruise = limits.speed if speed is None else speed
@@ -162,7 +162,7 @@ class SlidePath(ShortRepr):
     def oscillate(
         cycles: int, stroke: float, limits: SlideLimits, *, speed: float | None = None
     ) -> SlidePath:
-        """From the tip `stroke` metres towards the base and back, `cycles` times."""
+        """Path from the tip `stroke` metres towards the base and back, `cycles` times."""
         if not (0 < cycles <= _CYCLES and cycles == int(cycles)):
             raise SimulationError(
                 f"{cycles:g} cycles cannot be; give a whole number from 1 to {_CYCLES:,}."
@@ -173,11 +173,11 @@ class SlidePath(ShortRepr):
 
     @staticmethod
     def calibrate(duration: float, stroke: float, limits: SlideLimits) -> SlidePath:
-        """To and fro over a stroke, at the limits' speed, with a rest at each turn.
+        """Path back and forth over a stroke at the limiting speed, with a rest at each stop.
 
-        Lateness shifts a sensor by as much as it is fast, play at rest just as much.
+        A lag shifts the sensor in proportion to speed, play also at rest: both can be estimated.
         """
-        SlidePath.hold(0.0, duration, limits), SlidePath.oscillate(1, stroke, limits)  # may it?
+        SlidePath.hold(0.0, duration, limits), SlidePath.oscillate(1, stroke, limits)  # checks
         pieces, place, spent = [], 0.0, 0.0
         for turn in cycle([0.5, 0.25, 0.75, 0.5, 1.0, 0.5, 0.75, 0.25, 0.5, 0.0]):
             target = turn * stroke
@@ -191,7 +191,7 @@ class SlidePath(ShortRepr):
 
     @staticmethod
     def waypoints(time: ArrayLike, displacement: ArrayLike, limits: SlideLimits) -> SlidePath:
-        """Through places (K,) at times (K,), at rest at each, as gently as the time allows."""
+        """Path through displacements (K,) at times (K,), at rest at each, at the least speed."""
         times, places = np.asarray(time, dtype=float), np.asarray(displacement, dtype=float)
         _require_increasing(times)
         pieces = []
@@ -217,7 +217,7 @@ class SlidePath(ShortRepr):
     def _joined(
         start: float, pieces: Sequence[tuple[Array, Array, Array]], limits: SlideLimits
     ) -> SlidePath:
-        """A path from pieces of (durations, ways, speeds at their ends)."""
+        """Path from pieces, each given as (durations, displacements, speeds at the ends)."""
         durations, ways, speeds = (
             np.concatenate([np.zeros(1), *(piece[i] for piece in pieces)]) for i in range(3)
         )
@@ -234,7 +234,7 @@ def _still(duration: float) -> tuple[Array, Array, Array]:
 
 
 def _trapezoid(low: float, high: float, cruise: float, most: float) -> tuple[Array, Array, Array]:
-    """Durations, ways and end speeds of a move from rest to rest."""
+    """Durations, displacements and end speeds of the phases of a move from rest to rest."""
     way, sign = abs(high - low), float(np.sign(high - low))
     top = min(cruise, np.sqrt(way * most))
     ramp, level = top / most, max(way / top - top / most, 0.0)
@@ -245,11 +245,11 @@ def _trapezoid(low: float, high: float, cruise: float, most: float) -> tuple[Arr
 
 
 def read_slide(path: Path, limits: SlideLimits, drawn_out: float | None = None) -> SlidePath:
-    """A path from a CSV with columns time,displacement (rest at each) or time,displacement,speed.
+    """Read a path from a CSV with columns time,displacement (rest at each) or with speed, too.
 
-    Where it is known at which arclength the sensor is when `drawn_out`, metres, a column arclength
-    may stand for the displacement; the speed is then that along it. Raises SimulationError with the
-    line that is wrong.
+    If `drawn_out`, the arclength of the sensor at zero displacement in metres, is given, a column
+    arclength may replace displacement; speed is then the rate of arclength. Raises SimulationError
+    that names the invalid row.
     """
     head, rows = _read_rows(path)
     place = "arclength" if "arclength" in head and drawn_out is not None else "displacement"
@@ -286,7 +286,7 @@ def read_slide(path: Path, limits: SlideLimits, drawn_out: float | None = None) 
 
 
 def _read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
-    """The columns' names, and the rows after them."""
+    """Column names of a CSV file, and the rows after them."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if row]

@@ -1,4 +1,4 @@
-"""How a slide moved: over a whole recording, or while its readings still come in."""
+"""Motion of a slide from its readings, over a whole recording or online."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ import numpy as np
 
 from glissando.geometry.se3 import Array
 
-_TURN = 2e-4  # m, over which a slide that turns is said to move the other way
+_TURN = 2e-4  # m of travel over which the direction changes after a reversal
 _MOST = 1024  # readings of the slide that are kept
-_AHEAD = 0.1  # s beyond its newest reading for which it is said to go on
-_APART = 1.0  # s between readings that say nothing of a speed, or after one, of the travel
+_AHEAD = 0.1  # s for which motion is extrapolated beyond the newest reading
+_APART = 1.0  # s: longer gaps give no speed, and no travel after the newest reading
 
 
 @dataclass(frozen=True)
 class SlideMotion:
-    """A slide at a time.
+    """Travel, speed and direction of a slide at one time.
 
     Attributes:
-        travel: Its travel, m.
-        speed: How fast that grew, m/s.
-        way: Which way it moved last, −1 to 1, see `slide_motion`.
+        travel: Travel, m.
+        speed: Rate of the travel, m/s.
+        way: Direction of the last motion, −1 to 1, see `slide_motion`.
     """
 
     travel: float
@@ -34,18 +34,18 @@ class SlideMotion:
 
 
 class SlideTrack:
-    """The readings of a slide up to now."""
+    """Record of a slide's readings up to the present."""
 
     def __init__(self) -> None:
         self._readings: deque[tuple[float, SlideMotion]] = deque(maxlen=_MOST)
 
     @property
     def known(self) -> bool:
-        """Whether it was read at all."""
+        """Whether there is any reading."""
         return bool(self._readings)
 
     def add(self, time: float, travel: float) -> None:
-        """Add a reading of the travel, m, at a time, s; one that is not newer is left out."""
+        """Add a reading of the travel, m, at a time, s; one that is not newer is ignored."""
         if not self._readings:
             self._readings.append((time, SlideMotion(travel)))
             return
@@ -57,10 +57,10 @@ class SlideTrack:
             self._readings.append((time, SlideMotion(travel, speed, way)))
 
     def at(self, time: float) -> SlideMotion | None:
-        """The slide at a time, s; None before its first reading, and a second after its newest.
+        """Motion at a time, s; None before the first reading and a second after the newest.
 
-        Between two readings it moves straight, and beyond the newest goes on for a tenth of a
-        second as it did.
+        Travel is interpolated linearly between readings, and extrapolated at the last speed for a
+        tenth of a second beyond the newest.
         """
         after: tuple[float, SlideMotion] | None = None
         for when, motion in reversed(self._readings):
@@ -83,13 +83,13 @@ class SlideTrack:
 
 
 def slide_motion(time: Array, arclength: Array) -> dict[str, Any]:
-    """The fields `slide_speed` and `slide_way` of a sliding sensor's readings.
+    """Fields `slide_speed` and `slide_way` of a sliding sensor's readings.
 
-    They are how fast it moved (M,), m/s, and which way it moved last (M,), −1 to 1.
+    They are its speed (M,), m/s, and the direction of its last motion (M,), −1 to 1.
 
-    The speed is that since the reading before, so that a lag shorter than this leads between the
-    two. The way is zero until the sensor moves, and turns over 0.2 mm of travel, as a tube's play
-    is taken up.
+    The speed is the mean since the reading before, so that correcting for a shorter lag leads to a
+    place between the two. The direction is zero until the sensor moves, and after a reversal
+    changes over 0.2 mm of travel, in which a tube's play is taken up.
     """
     if not np.any(np.diff(arclength)):
         return {"slide_speed": np.zeros(()), "slide_way": np.zeros(())}
@@ -99,7 +99,7 @@ def slide_motion(time: Array, arclength: Array) -> dict[str, Any]:
 
 
 def side_of_play(travel: Array, width: float) -> Array:
-    """On which side (L,) of a play, its width in m, travel (L,) has left a slide, from −1 to 1.
+    """Side (L,) of a play of some width, m, at which a slide is after travel (L,), −1 to 1.
 
     >>> side_of_play(np.array([0.0, 1e-3, 2e-3, 1e-3]), 1e-4).tolist()
     [0.0, 1.0, 1.0, -1.0]
@@ -109,5 +109,5 @@ def side_of_play(travel: Array, width: float) -> Array:
 
 
 def _side_after(width: float, side: float, moved: float) -> float:
-    """The side of a play after a step, m, from that before it."""
+    """Side of the play after a step of travel, m, from the side before the step."""
     return min(1.0, max(-1.0, side + moved / (0.5 * width)))

@@ -16,7 +16,7 @@ from glissando.model.grid import Grid
 from glissando.model.short_repr import ShortRepr
 
 DOF = 18
-"""Numbers of a state that a sensor or a user sees, in the order pose, strain, velocity."""
+"""Degrees of freedom of a state for sensors and users, in the order pose, strain, velocity."""
 
 POSE, STRAIN, VELOCITY, STRAIN_RATE, INERTIA = (slice(6 * i, 6 * i + 6) for i in range(5))
 
@@ -28,8 +28,8 @@ class State(ShortRepr):
     `pose` (…, 4, 4); `strain` (…, 6) with dT/ds = T strain^ (1/m on the angular half);
     `velocity` (…, 6) with dT/dt = T velocity^; both in the body frame, [linear, angular].
     `strain_rate` (…, 6) = ∂strain/∂t at the nodes of a prior that needs it, else None; `inertia`
-    (…, 6), of a prior that knows inertia, the acceleration with what damping takes, and its rate,
-    both in the world frame: m/s² and m/s³ (equation 32).
+    (…, 6) at those of a prior with inertia, else None: acceleration plus damping, β = p̈ + C ṗ, and
+    its rate, both in the world frame, m/s² and m/s³ (equation 32).
     Source: equation (1).
     """
 
@@ -46,7 +46,7 @@ class State(ShortRepr):
 
     @property
     def numbers(self) -> int:
-        """Degrees of freedom of one time: those of its points together."""
+        """Degrees of freedom of all points of one time."""
         return int(self.pose.shape[-3]) * self.dof
 
     def _others(self) -> list[Array]:
@@ -63,10 +63,10 @@ class State(ShortRepr):
         return [self.pose, *self._others()]
 
     def retract(self, step: Array) -> State:
-        """The state moved by `step` (…, dof): poses on the right, the rest by addition.
+        """State after a `step` (…, dof): poses perturbed on the right, other fields by addition.
 
-        A roll φ of the body about its z, however large, turns the fields of the body frame by −φ,
-        so that the curve is as it was; of first order in the step that changes nothing. Source:
+        A roll φ about the body's z, however large, also rotates the fields of the body frame by −φ,
+        so that the curve is unchanged; to first order in the step this is plain addition. Source:
         equation (35).
         """
         lead = self.strain.shape[:-1]
@@ -83,7 +83,7 @@ class State(ShortRepr):
         return State(*unflatten(lead, *moved))
 
     def difference(self, other: State) -> Array:
-        """The step (…, dof) that takes `other` to this state: self = other.retract(step)."""
+        """Step (…, dof) from `other` to this state: self = other.retract(step)."""
         lead = np.broadcast_shapes(self.strain.shape[:-1], other.strain.shape[:-1])
         step = kernels.difference(items(other.pose, lead, 4, 4), items(self.pose, lead, 4, 4))
         parts = [
@@ -95,35 +95,35 @@ class State(ShortRepr):
         return np.concatenate([step.reshape(*lead, 6), *parts], axis=-1)
 
     def rise_from(self, other: State) -> Array:
-        """What changed (…, dof) since a state nearby: the twist between poses, what fields gained.
+        """Change (…, dof) from a nearby state: twist between poses, differences of other fields.
 
-        Over a small step either way, or between two nodes, it is of second order a slope.
+        Divided by the step between two states it is their central difference, of second order.
         """
         twist = se3.log(se3.inverse(other.pose) @ self.pose)
         fields = zip(self._others(), other._others(), strict=True)
         return np.concatenate([twist, *(own - its for own, its in fields)], axis=-1)
 
     def rolls_from(self, other: State) -> Array:
-        """Angles (…) about z by which bodies rolled since a state of the same shape."""
+        """Angles (…), rad, about z by which bodies rolled from a state of the same shape."""
         lead = self.pose.shape[:-2]
         poses = (items(each.pose, lead, 4, 4) for each in (other, self))
         rolled: Array = rolls.rolls_between(*poses).reshape(lead)
         return rolled
 
     def slope_to(self, moved: State) -> Array:
-        """How a step from `moved` goes with the one from here that led there (…, dof, dof).
+        """Jacobian J (…, dof, dof) of steps from `moved` by steps from this state.
 
-        Bodies that rolled on the way have turned their axes with them, so that a covariance C of
-        steps from here is J C Jᵀ of steps from there; what else bends is of second order.
+        A roll between the two rotates the body axes, so that a covariance C of steps from this
+        state is J C Jᵀ of steps from `moved`; other curvature, of second order, is neglected.
 
         Args:
-            moved: Where a step leads from here, of the same shape.
+            moved: State after a step from this one, of the same shape.
         """
         slopes: Array = rolls.slopes_between(*self._turned(), *moved._turned(), self.dof)
         return slopes.reshape(*self.pose.shape[:-2], self.dof, self.dof)
 
     def _turned(self) -> tuple[Array, Array]:
-        """Poses (M, 4, 4) and, side by side, the fields (M, ·) that turn with them, for kernels."""
+        """Poses (M, 4, 4) and the concatenated body-frame fields (M, ·), for kernels."""
         lead = self.pose.shape[:-2]
         fields = [each for each in self._others() if each is not self.inertia]
         beside = np.concatenate(fields, axis=-1)
@@ -139,7 +139,7 @@ class State(ShortRepr):
         return State(self.pose.reshape(*shape, 4, 4), *fields)
 
     def with_fields_of(self, other: State) -> State:
-        """The state with the same fields as another; rates that it lacks are zero."""
+        """State with the optional fields of `other`; zeros for those that this one lacks."""
         strain_rate, inertia = (
             None if theirs is None else np.zeros_like(self.strain) if own is None else own
             for own, theirs in (
@@ -156,30 +156,30 @@ class State(ShortRepr):
 
 @dataclass(frozen=True)
 class AcceleratedState(State):
-    """State at points with its acceleration (…, 6): [R^T p̈, body's angular acceleration].
+    """State at points with acceleration (…, 6), [Rᵀ p̈, angular acceleration in the body frame].
 
-    Of its degrees of freedom, 24, acceleration comes last.
+    Steps have 24 numbers, of which those of the acceleration come last.
     """
 
     acceleration: Array = field(default_factory=lambda: np.zeros(6))
 
     def retract(self, step: Array) -> AcceleratedState:
-        """The state moved by `step` (…, 24)."""
+        """State after a `step` (…, 24)."""
         at = State(self.pose, self.strain, self.velocity, self.acceleration).retract(step)
-        pose, strain, velocity, acceleration = at.fields()  # carried as a strain rate is
+        pose, strain, velocity, acceleration = at.fields()  # treated as a strain rate
         return AcceleratedState(pose, strain, velocity, acceleration=acceleration)
 
 
 def concatenate(*states: State) -> State:
-    """States one after the other along their first axis."""
+    """Concatenate states along their first axis."""
     fields = zip(*[state.fields() for state in states], strict=True)
     return State(*[np.concatenate(field) for field in fields])
 
 
 def rest_state(grid: Grid, base_pose: Array, rest_strain: Array) -> State:
-    """The robot at rest on every node: constant strain from the base, no velocity.
+    """State of the robot at rest: constant strain from the base, no velocity.
 
-    `base_pose` (4, 4), `rest_strain` (6,). This is where an estimate starts unless told otherwise.
+    `base_pose` (4, 4), `rest_strain` (6,). Estimates start from this state by default.
     """
     k, n = grid.shape
     pose = base_pose @ se3.exp(grid.arclength[:, None] * rest_strain)

@@ -1,4 +1,4 @@
-"""A table of TOML that gives checked values: errors name the file and the key, and what to do."""
+"""TOML tables with checked access: errors name the file, the key and the remedy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from glissando.model.tendons.channel import Channel
 
 
 class Table:
-    """A TOML table that gives checked values, and knows which of its keys were not asked for.
+    """A TOML table with checked access, which records the keys that were not read.
 
     Every method raises the table's error, which names the file and the key, for a value that is
     missing or wrong.
@@ -24,7 +24,7 @@ class Table:
     Args:
         entries: Keys and values.
         where: File and table, for messages.
-        error: Class of the errors.
+        error: Class of the errors to raise.
     """
 
     def __init__(self, entries: dict[str, Any], where: str, error: type[GlissandoError]) -> None:
@@ -34,7 +34,7 @@ class Table:
         self.error = error
 
     def fail(self, key: str, problem: str) -> GlissandoError:
-        """An error that names the key."""
+        """Error that names the table and the key."""
         return self.error(f"{self.where}: {key} {problem}")
 
     def _take(self, key: str) -> Any:
@@ -49,7 +49,7 @@ class Table:
         return None
 
     def subtable(self, key: str) -> Table:
-        """A sub-table that has to be there."""
+        """A required sub-table."""
         value = self._take(key)
         if not isinstance(value, dict):
             problem = "is missing; add this table." if value is None else "must be a table."
@@ -65,28 +65,28 @@ class Table:
         return [Table(v, f"{where} {i}", self.error) for i, v in enumerate(value, start=1)]
 
     def named_tables(self, key: str) -> list[tuple[str, Table]]:
-        """The tables of a table, [key.NAME], with their names; empty when absent."""
+        """Sub-tables [key.NAME] with their names; empty when absent."""
         outer = self.table(key)
         return [(name, outer.subtable(name)) for name in outer.names()] if outer else []
 
     def peek(self, key: str) -> Any:
-        """The raw value of a key, which stays to be asked for."""
+        """Raw value of a key, or None when absent; the key still counts as not read."""
         self._known.append(key)
         return self._left.get(key)
 
     def skip(self, key: str) -> None:
-        """Pass over a key that another reader checks."""
+        """Mark a key as read, if another reader checks it."""
         self._take(key)
 
     def std(self, rows: int) -> Array:
-        """`std`: `rows` numbers above zero; six or five may be a pair [linear, angular]."""
+        """`std`: `rows` numbers above zero, or a pair [linear, angular] for six or five."""
         value = self.peek("std")
         if rows == 5 and isinstance(value, list) and len(value) == 2:
             return self.vector("std", 2, positive=True)[[0, 0, 0, 1, 1]]
         return self.vector("std", rows, positive=True)
 
     def names(self) -> list[str]:
-        """Keys that were not asked for."""
+        """Keys that were not read."""
         return list(self._left)
 
     def text(self, key: str, default: str | None = None, choices: Iterable[str] = ()) -> str:
@@ -111,7 +111,7 @@ class Table:
         return str(value)
 
     def texts(self, key: str) -> list[str]:
-        """Strings, at least one."""
+        """List of strings, at least one."""
         value = self._take(key)
         if not isinstance(value, list) or not value or not all(isinstance(v, str) for v in value):
             raise self.fail(key, f"is {_shown(value)}; give a list of texts.")
@@ -125,7 +125,7 @@ class Table:
         return bool(value)
 
     def number(self, key: str, default: float | None = None, *, positive: bool = True) -> float:
-        """A finite number, above zero unless said otherwise."""
+        """A finite number, above zero if `positive`."""
         value = self._take(key)
         value = default if value is None else value
         if value is None or not _is_number(value) or (positive and value <= 0):
@@ -166,14 +166,14 @@ class Table:
         return np.array(rows, dtype=float)
 
     def numbers(self, key: str) -> Array:
-        """Numbers, at least one."""
+        """Finite numbers of any count from one."""
         value = self.peek(key)
         if not isinstance(value, list) or not value:
             raise self.fail(key, f"is {_shown(value)}; give a list of numbers.")
         return self.vector(key, len(value), pairs=False)
 
     def places(self, key: str) -> Array:
-        """Arclengths that increase from above 0; none where there is no such key."""
+        """Arclengths that increase from above 0; empty when absent."""
         places = np.zeros(0) if self.peek(key) is None else self.numbers(key)
         if np.any(np.diff(places, prepend=0.0) <= 0.0):
             raise self.fail(key, "must increase from above 0.")
@@ -205,7 +205,7 @@ class Table:
         return se3.pose(se3.rotation_from_quaternion(q), position)
 
     def channel(self, length: float = 1.0, angle: float = 1.0) -> Channel | None:
-        """`channel`, a table of radius, angle and pitch in units of m and rad; None when absent."""
+        """`channel`, a table in units of `length` m and `angle` rad; None when absent."""
         table = self.table("channel")
         if table is None:
             return None
@@ -215,7 +215,7 @@ class Table:
         return Channel(length * radius, angle * turned, length * pitch or np.inf)
 
     def close(self) -> None:
-        """Raise unless every key was asked for: a misspelt key must not be ignored."""
+        """Raise unless every key was read: a misspelt key must not be ignored."""
         known = ", ".join(sorted(set(self._known)))
         for key in self._left:
             near = difflib.get_close_matches(key, self._known, n=1)
@@ -224,7 +224,7 @@ class Table:
 
 
 def pose_table(pose: Array) -> dict[str, Any]:
-    """A pose (4, 4) as `Table.pose` reads it."""
+    """Table of a pose (4, 4), in the form that `Table.pose` reads."""
     quaternion = se3.quaternion(pose[:3, :3])
     return {"position": pose[:3, 3].tolist(), "quaternion": quaternion.tolist()}
 

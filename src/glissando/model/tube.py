@@ -1,4 +1,4 @@
-"""The whole-body tube that a robot file carries: how wide, and what was promised of it."""
+"""The whole-body tube of a robot file: its width and its guaranteed coverage."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Tube:
-    """A tube around the body that holds all judged places of a block at once.
+    """A tube around the body that contains all evaluated places of a block simultaneously.
 
     A place is inside if its error lies in the ellipsoid of `sigmas` standard deviations of the
-    estimate there. The promise needs no model of errors: a further block, exchangeable with the
-    `blocks` that the width was chosen on, lies wholly inside with probability `level` at least.
-    It speaks of whole blocks, not of samples, and of blocks like those. Source: Vovk, Gammerman and
+    estimate there. The guarantee needs no model of errors: a further block, exchangeable with the
+    `blocks` that determined the width, lies wholly inside with a probability of at least `level`.
+    It holds for whole blocks, not for single samples. Source: Vovk, Gammerman and
     Shafer, *Algorithmic Learning in a Random World* (2005), split conformal prediction.
 
     Attributes:
-        level: Probability promised.
-        sigmas: Half width, standard deviations of the estimate.
-        blocks: How many blocks it was chosen on.
+        level: Guaranteed probability.
+        sigmas: Half-width in standard deviations of the estimate.
+        blocks: Number of blocks that determined the width.
         seconds: Length of a block, s; 0 where each is a single shape.
     """
 

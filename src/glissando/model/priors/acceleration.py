@@ -1,8 +1,8 @@
-"""The acceleration at points between the nodes, with all else that is known there.
+"""Acceleration at points between the nodes, together with the state there.
 
-Where nodes know no acceleration it is the slope of the velocity that the prior leads from node to
-node, and white noise about it: what that noise leaves of a mean over a span of time is its density
-over the span. A prior whose nodes know acceleration says it itself. Source: equation (33).
+Where nodes have no acceleration it is the time derivative of the interpolated velocity, plus white
+noise, whose mean over a span of time has the covariance density / span. A prior whose nodes have
+acceleration computes it itself. Source: equation (33).
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from glissando.model.interpolation import Interpolation, sort_points
 from glissando.model.priors.prior import Prior
 from glissando.model.state import DOF, POSE, VELOCITY, AcceleratedState, State
 
-_NEAR = 1e-3  # of a time step: how far apart velocities are differenced
-_UNKNOWN = 1e12  # by which the density is multiplied where nothing comes after a node
+_NEAR = 1e-3  # of a time step: half the width of difference quotients of velocity
+_UNKNOWN = 1e12  # factor on the density where no time node follows
 _V, _W = slice(VELOCITY.start, VELOCITY.start + 3), slice(VELOCITY.start + 3, VELOCITY.stop)
 
 
 @runtime_checkable
 class AccelerationPrior(Protocol):
-    """A prior whose nodes may know acceleration."""
+    """A prior whose nodes may have an acceleration."""
 
     def acceleration(
         self, grid: Grid, state: State, at: Interpolation, arclength: Array, time: Array
     ) -> Interpolation | None:
-        """What `accelerated` gives, from the state `at` the points; None if nodes know none."""
+        """Result of `accelerated`, from the state `at` the points; None if nodes have none."""
 
 
 def accelerated(
@@ -42,16 +42,16 @@ def accelerated(
     time: Array,
     span: float,
 ) -> Interpolation:
-    """States with acceleration (M, 24) at points that all touch equally many nodes.
+    """States with acceleration (M, 24) at points that all depend on equally many nodes.
 
     Args:
-        prior: What lies between the nodes.
-        grid: The nodes.
-        state: Nodes (K, N).
-        noise_state: Nodes (K, N) whose rates noise comes from.
-        arclength: Where the points are (M,), m.
-        time: When (M,), s.
-        span: Over which acceleration is averaged, s.
+        prior: Prior that interpolates between the nodes.
+        grid: Grid of the nodes.
+        state: States (K, N) of the nodes.
+        noise_state: States (K, N) at whose rates the noise is evaluated.
+        arclength: Arclengths (M,) of the points, m.
+        time: Times (M,) of the points, s.
+        span: Time over which acceleration is averaged, s.
     """
     if isinstance(prior, AccelerationPrior):
         at = _interpolated(prior, grid, state, noise_state, arclength, time)
@@ -66,7 +66,7 @@ def accelerated(
     edge = _NEAR * step
     inside = np.clip(time, grid.time[k] + 2.0 * edge, grid.time[k + 1] - 2.0 * edge)
     ends = inside - edge, inside + edge
-    apart = ends[1] - ends[0]  # as times round
+    apart = ends[1] - ends[0]  # as rounded
     early, at, late = (
         _interpolated(prior, grid, state, noise_state, arclength, when)
         for when in (ends[0], inside, ends[1])
@@ -84,7 +84,7 @@ def accelerated(
         for part, cov in zip(share, (soon, crossing), strict=True)
     )
     left = left + between
-    left[time >= grid.time[-1]] *= _UNKNOWN  # until another node comes
+    left[time >= grid.time[-1]] *= _UNKNOWN  # until another node follows
     return _joined(at, *_of_body(at, rate, slope), left)
 
 
@@ -96,7 +96,7 @@ def _interpolated(
 
 
 def _of_body(at: Interpolation, rate: Array, slope: Array) -> tuple[Array, Array]:
-    """Acceleration [v̇ + ω × v, ω̇] and its slopes, from the rate of the body's velocity."""
+    """Acceleration [v̇ + ω × v, ω̇] and its Jacobian, from the derivative of the velocity."""
     linear, spin = at.state.velocity[:, :3], at.state.velocity[:, 3:]
     slope[:, :3] += np.einsum("mij,mjcd->micd", se3.hat3(spin), at.jacobian[:, _V])
     slope[:, :3] -= np.einsum("mij,mjcd->micd", se3.hat3(linear), at.jacobian[:, _W])
@@ -106,7 +106,7 @@ def _of_body(at: Interpolation, rate: Array, slope: Array) -> tuple[Array, Array
 def _joined(
     at: Interpolation, acceleration: Array, slope: Array, left: Array | None
 ) -> Interpolation:
-    """The points with their acceleration (M, 6), its slopes (M, 6, c, dof), what is left of it."""
+    """Add acceleration (M, 6), its Jacobian (M, 6, c, dof) and covariance `left` to points."""
     cov = np.zeros((len(slope), DOF + 6, DOF + 6))
     cov[:, :DOF, :DOF] = at.cov
     if left is not None:
@@ -122,13 +122,13 @@ def accelerated_in_world(
     world: tuple[Array, Array, Array],
     slopes: tuple[Array, Array],
 ) -> Interpolation:
-    """The points with an acceleration that is known in the world, from all of some `nodes`.
+    """Add an acceleration in the world frame, which depends on all `nodes`, to points.
 
     Args:
-        at: The points (M,); nodes that it touches are among `nodes`.
-        nodes: Nodes (M, c).
-        world: Acceleration p̈ (M, 3), its slope by arclength (M, 3), and variance (M, 3, 3).
-        slopes: Slopes (M, 3, c, dof) of the first two by the nodes.
+        at: Interpolation at the points (M,), whose nodes are among `nodes`.
+        nodes: Indices (M, c) of nodes.
+        world: Acceleration p̈ (M, 3), its derivative by arclength (M, 3), covariance (M, 3, 3).
+        slopes: Jacobians (M, 3, c, dof) of the first two by the nodes.
     """
     rotation = at.state.pose[:, :3, :3]
     back, tangent = np.swapaxes(rotation, -1, -2), np.array([0.0, 0.0, 1.0])

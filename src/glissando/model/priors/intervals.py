@@ -1,8 +1,8 @@
-"""An arclength interval and how it changes: its error, its point in between, and their rates.
+"""Errors of arclength intervals, states inside them, and their rates in time.
 
 The error of an interval is that of equation (2'), r = [log(exp(h ε₀)⁻¹ T₀⁻¹ T₁); ε₁ − ε₀]; its rate
-ṙ follows from velocities and strain rates by differentiating in time (equation 9). Both kinds of
-node, (M, 24) each, are [pose, strain, velocity, strain rate], and so are the columns of Jacobians.
+ṙ follows from velocities and strain rates by differentiating in time (equation 9). Nodes, and
+columns of Jacobians, have 24 components: [pose, strain, velocity, strain rate].
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from glissando.model.grid import Index
 from glissando.model.state import State
 
 RATED = 24
-"""Degrees of freedom of a node that knows its strain rate."""
+"""Degrees of freedom of a node with a strain rate."""
 
 
 def strain_rate_of(state: State) -> Array:
-    """The strain rate (…, 6) of a state that must have one."""
+    """Strain rate (…, 6) of a state, which must have one."""
     assert state.strain_rate is not None
     return state.strain_rate
 
 
 def place_error(pose: Array, strain: Array, at: State) -> tuple[Array, Array]:
-    """Error [r; ṙ] (…, 24) of a cross-section from where it is expected, Jacobian (…, 24, 24).
+    """Error [r; ṙ] (…, 24) of a cross-section from an expected one, Jacobian (…, 24, 24).
 
-    r = [log(T̄⁻¹ T); ε − ε̄] for a `pose` (4, 4) and a `strain` (6,) that stand still: the error of
-    an interval of no length.
+    r = [log(T̄⁻¹ T); ε − ε̄] for an expected `pose` (4, 4) and `strain` (6,) that are constant: the
+    error of an interval of zero length.
     """
     expected, still = np.broadcast_to(pose, at.pose.shape), np.zeros(at.strain.shape)
     start = State(expected, still + strain, still, still)
@@ -71,9 +71,9 @@ def interval_between(
         start: State (…) with strain rate where the intervals begin.
         end: State (…) where they end.
         step: Lengths (…), metres.
-        offset: Places (…) inside the intervals.
-        gain: Gains (…, 12, 12) of the point's error on that of the interval.
-        rest: Errors r̄ and r̄(u) (…, 12) of the robot at rest, constant.
+        offset: Distances (…) of the points from the beginnings of the intervals, metres.
+        gain: Gains (…, 12, 12) from the error of the interval to that of the point.
+        rest: Constant errors (…, 12) of the robot at rest, r̄ of intervals and r̄(u) of points.
 
     Returns:
         State (…) with strain rate, Jacobians (…, 24, 24) by both ends.
@@ -90,12 +90,12 @@ def interval_between(
 
 
 def as_fields(at: State, lead: tuple[int, ...]) -> tuple[Array, Array]:
-    """Poses (M, 4, 4) of nodes, and strain, velocity, strain rate side by side (M, 18)."""
+    """Poses (M, 4, 4) of nodes, and concatenated strain, velocity, strain rate (M, 18)."""
     return items(at.pose, lead, 4, 4), items(np.concatenate(at.fields()[1:], -1), lead, 18)
 
 
 def interval_end(start: State, error: Array, step: Array) -> State:
-    """The end (M,) of intervals that have this `error` [r; ṙ] (M, 24): `interval_error` undone."""
+    """State (M,) at the end of intervals with an error [r; ṙ] (M, 24): inverts `interval_error`."""
     rate0 = strain_rate_of(start)
     scaled = step[..., None] * start.strain
     xi, xi_rate = error[..., :6], error[..., 12:18]
@@ -118,7 +118,7 @@ def kron_pair(small: Array, large: Array) -> Array:
 
 
 def at_nodes(state: State, k: Index, n: Index) -> tuple[State, Index, Array]:
-    """State, nodes (M, 1) and Jacobian (M, 24, 1, dof) at time nodes k and arclength nodes n."""
+    """State, indices (M, 1) and Jacobian (M, 24, 1, dof) of nodes at times k, arclengths n."""
     nodes = (k * state.strain.shape[1] + n)[:, None]
     eye = np.eye(RATED, state.dof)[:, None, :]
     at = replace(state.flatten().take(nodes[:, 0]), inertia=None)

@@ -1,6 +1,6 @@
-"""A Matérn-3/2 process of unit variance in time: its state (x, ẋ) between two moments.
+"""A Matérn-3/2 process of unit variance in time: transitions of its state (x, ẋ).
 
-Everything is 2×2, exact at any step against the time scale ℓ; λ = √3/ℓ. Source: equation (7).
+Matrices are 2×2, and exact for any ratio of step to time scale ℓ; λ = √3/ℓ. Source: equation (7).
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from glissando.geometry.se3 import Array
 
 
 def stationary(time_scale: float) -> Array:
-    """P∞ (2, 2), the covariance of (x, ẋ) at any moment."""
+    """Stationary covariance P∞ (2, 2) of (x, ẋ)."""
     return np.diag([1.0, 3.0 / time_scale**2])
 
 
 def transition(time_scale: float, step: Array) -> Array:
-    """Φ(step) (…, 2, 2)."""
+    """Transition matrix Φ(step) (…, 2, 2)."""
     (out,) = unflatten(step.shape, kernels.transition(time_scale, items(step, step.shape)))
     return out
 
@@ -30,7 +30,7 @@ def process_covariance(time_scale: float, step: Array) -> Array:
 
 
 def bridge(time_scale: float, step: Array, offset: Array) -> tuple[Array, Array, Array]:
-    """What both ends of a step say at `offset` into it: Λ, Ψ and leftover covariance (…, 2, 2).
+    """Gains Λ, Ψ of both ends of a step, and bridge covariance, at `offset` in it (…, 2, 2).
 
     The mean is Λ z₀ + Ψ z₁; offsets lie strictly inside. Source: equations (10) and (12).
     """

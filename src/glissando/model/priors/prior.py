@@ -1,4 +1,4 @@
-"""What the method asks of a prior, and how strain may vary along a body made of segments."""
+"""The interface of priors, and densities of strain along a body of several segments."""
 
 from __future__ import annotations
 
@@ -17,67 +17,67 @@ from glissando.model.state import State
 from glissando.model.table import Table
 
 Spread = tuple[Array, Array]
-"""Of intervals: the density of strain (…, 6) inside them, and the variance (…, 6) of its jump."""
+"""Density of strain (…, 6) inside intervals, and variance (…, 6) of its jump at their ends."""
 
-_SOFT = 0.022**2  # m², of strain density over curvature density
-_BEFORE = 1e-6  # of an interval, at which a place lies just before a joint
+_SOFT = 0.022**2  # m², least ratio of linear to bending strain density
+_BEFORE = 1e-6  # of an interval: distance of places just before joints
 _KERNELS = (  # of any prior
     "block_tridiagonal", "normal_equations", "process", "rolls", "se3", "sensors", "state",
 )  # fmt: skip
 _STRAIN_DENSITIES = "psd_strain_arclength", "psd_strain_time"
-_STIFF = 10.0  # times softer than a prior must be to be worth a start of its own
+_STIFF = 10.0  # ratio of densities above which a softened prior is worth a first estimate
 
 
 class Prior(Protocol):
-    """A Gaussian prior over arclength × time: factors between nodes, and what lies between them.
+    """A Gaussian prior over arclength × time: factors between nodes, and interpolation.
 
-    One whose functions call compiled kernels names their modules in `kernels`, so that an estimate
-    compiles them side by side.
+    A prior that calls compiled kernels lists their modules in `kernels`, so that an estimate
+    compiles them in parallel.
     """
 
     kind: ClassVar[str]
 
     @property
     def joints(self) -> Array:
-        """Where segments meet (S−1,), m; these must be nodes of the grid."""
+        """Arclengths (S−1,) at which segments meet, m; these must be nodes of the grid."""
 
     @classmethod
     def from_table(cls, prior: Table, robot: Table) -> Self:
-        """The prior of a robot file, from its [prior] table and the file with [base] and rest."""
+        """Prior from the table [prior] of a robot file, and from the file with [base] and rest."""
 
     def to_table(self) -> dict[str, Any]:
-        """What a robot file says of this prior, as `from_table` reads it."""
+        """Tables of a robot file for this prior, in the form that `from_table` reads."""
 
     @property
     def fixes_base(self) -> bool:
-        """Whether the prior alone says where the robot stands."""
+        """Whether the prior alone determines the pose of the base."""
 
     def least_step(self, arclength: Array) -> float:
-        """The least time between time nodes, s, at which information keeps its digits.
+        """Least distance of time nodes, s, at which information stays numerically accurate.
 
         Args:
             arclength: Arclength nodes (N,), m.
         """
 
     def with_soft_shear(self) -> Self:
-        """The prior with soft shear and extension, a start for this one; itself if not stiff."""
+        """Prior of soft shear and extension for a first estimate; itself if not stiff."""
 
     def rest_state(self, grid: Grid) -> State:
-        """The robot at rest on the grid, from which an estimate starts."""
+        """State of the robot at rest on the grid, from which an estimate starts."""
 
     def retract_strains(self, grid: Grid, state: State, step: Array) -> State:
-        """The state moved by `step` (K, N, dof) so that poses still follow from the strains."""
+        """State after a `step` (K, N, dof), with poses that still follow from the strains."""
 
     def factors(
         self, grid: Grid, state: State, noise_state: State, times: slice
     ) -> Iterator[Factors]:
         """Factors that begin at the time nodes `times`, linearised at `state`.
 
-        Their weights come from the rates of `noise_state`, a state on the same grid.
+        Their weights are evaluated at the rates of `noise_state`, a state on the same grid.
         """
 
     def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
-        """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
+        """Factors of static shapes, linearised at pose and strain of nodes (S, N)."""
 
     def interpolate(
         self, grid: Grid, state: State, noise_state: State, points: Points
@@ -86,36 +86,36 @@ class Prior(Protocol):
 
 
 def load_kernels(prior: Prior, *others: str) -> None:
-    """Make callable what an estimate with this prior calls, and other modules of kernels.
+    """Load the compiled kernels of an estimate with this prior, and other modules of kernels.
 
     Args:
         prior: The prior.
-        others: Modules besides those of every estimate and those that the prior names.
+        others: Modules besides those of every estimate and those that the prior lists.
     """
     load(*_KERNELS, *getattr(prior, "kernels", ()), *others)
 
 
 def soften(psd: Array) -> Array:
-    """Strain densities (…, 6) whose linear part is large enough beside their bending part."""
+    """Strain densities (…, 6) with a linear part of a least ratio to the bending part."""
     bending = np.mean(psd[..., 3:5], axis=-1, keepdims=True)
     return np.concatenate([np.maximum(psd[..., :3], _SOFT * bending), psd[..., 3:]], axis=-1)
 
 
 def is_soft(psd: Array, soft: Array) -> bool:
-    """Whether softening changed so little that a start of its own would not pay."""
+    """Whether softening changes densities too little to be worth a first estimate."""
     return bool(np.all(soft <= _STIFF * psd))
 
 
 def transversely_isotropic(*densities: Array) -> bool:
-    """Whether densities (…, 6) are the same across the body's z in every direction."""
+    """Whether densities (…, 6) are equal along the body's x and y axes."""
     return all(np.array_equal(each[..., ::3], each[..., 1::3]) for each in densities)
 
 
 def without_roll_transport(prior: Prior) -> Prior:
-    """The prior with densities that differ in x and y by a last digit. Source: (35).
+    """Prior with densities that differ in x and y in the last digit. Source: (35).
 
-    Its errors keep their axes, as they have to beside readings of strain along the body's axes: an
-    error that is turned back by a roll counts strain as turned with it, and what is read does not.
+    Its errors are then not rotated back by rolls, which is required with readings of strain along
+    the body's axes: errors rotated back treat strain as rotated too, whereas readings are not.
     """
     apart = {}
     for name in _STRAIN_DENSITIES:
@@ -127,9 +127,9 @@ def without_roll_transport(prior: Prior) -> Prior:
 
 
 def both_sides(arclength: Array, joints: Array) -> Array:
-    """Nodes (N,) of a grid and places just before joints: a node there has the strain beyond it.
+    """Arclength nodes (N,) and places just before joints, whose nodes have the strain beyond.
 
-    Lines through the strains at these places jump where strain may jump.
+    Linear interpolation of strain between these places jumps where strain may jump.
     """
     at = np.flatnonzero(np.isclose(arclength, joints[:, None], rtol=0.0, atol=SAME).any(axis=0))
     at = at[at > 0]
@@ -137,11 +137,11 @@ def both_sides(arclength: Array, joints: Array) -> Array:
 
 
 def by_interval(arclength: Array, psd: Array, joints: Array, jumps: Array) -> Spread:
-    """Density of strain (N−1, 6) of every interval between nodes, and of its jump at the end.
+    """Density of strain (N−1, 6) of every interval, and variance (N−1, 6) of the jump at its end.
 
     `psd` is (6,), or (S, 6) for S segments that meet at `joints` (S−1,), where strain may jump by
     a variance `jumps` (S−1, 6); the strain of a node at a joint is the one beyond it. Raises
-    OutsideGridError when a joint is no node of the grid.
+    OutsideGridError when a joint is not a node of the grid.
     """
     jump = np.zeros((arclength.size - 1, 6))
     for joint, variance in zip(joints, jumps if np.any(jumps) else 0.0 * joints, strict=True):
@@ -156,10 +156,10 @@ def by_interval(arclength: Array, psd: Array, joints: Array, jumps: Array) -> Sp
 
 
 def interval_strain(strain0: Array, strain1: Array, length: Array, spread: Spread) -> Array:
-    """Strain (…, 6) about which intervals are linearised: the mean, less the jump at their end.
+    """Strain (…, 6) about which intervals are linearised: the mean without the expected jump.
 
-    Of the difference between both ends, the jump has its share of the variance; `spread` is what
-    `by_interval` gives for these intervals of `length` (…).
+    The jump takes its share of the variance of the difference between both ends; `spread` is the
+    result of `by_interval` for these intervals of `length` (…), m.
     """
     psd, jump = spread
     drift = length[..., None] * psd

@@ -1,4 +1,4 @@
-"""How priors are read from the tables of a robot file, and the parts that they share."""
+"""The parts of a robot file that priors share: segments and rest strain."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from glissando.model.table import Table
 
 
 def read_segments(prior: Table, jumps: str) -> dict[str, Array]:
-    """Strain densities (6,), or of S segments with their joints and jumps.
+    """Read strain densities (6,), or (S, 6) of segments with their joints and jumps.
 
     Args:
         prior: The [prior] table.
@@ -27,7 +27,7 @@ def read_segments(prior: Table, jumps: str) -> dict[str, Array]:
 
 
 def read_rest(robot: Table, segments: int) -> dict[str, Array]:
-    """The rest strain, and its slope where it is given; one row a segment, or (6,) of the body."""
+    """Read the rest strain, and its slope if given: (6,) of the body, or one row a segment."""
     rest = {}
     for key in ("rest_strain", "rest_slope"):
         value = robot.peek(key)
@@ -39,7 +39,7 @@ def read_rest(robot: Table, segments: int) -> dict[str, Array]:
 
 
 def segments_table(psd: Array, joints: Array, jumps: Array, key: str) -> dict[str, Any]:
-    """What `read_segments` reads."""
+    """Entries of a [prior] table, in the form that `read_segments` reads."""
     if not joints.size:
         return {"psd_strain_arclength": psd.tolist()}
     psd = np.broadcast_to(psd, (joints.size + 1, 6))

@@ -1,7 +1,7 @@
-"""The priors by the kind that robot files name.
+"""Registry of priors by the kind that robot files name.
 
-A prior of one's own is a class of the `Prior` protocol; `register_prior` makes robot files and
-posteriors know it.
+A custom prior is a class that implements the `Prior` protocol; `register_prior` makes it available
+to robot files and posteriors.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ _PRIORS: dict[str, type[Prior]] = {
 
 
 class UnknownPriorError(GlissandoError):
-    """No prior of that kind was imported."""
+    """No prior of the given kind is registered."""
 
 
 def register_prior(prior: type[Prior]) -> type[Prior]:
-    """Make a prior known by its `kind`; a class decorator."""
+    """Register a prior under its `kind`; a class decorator."""
     _PRIORS[prior.kind] = prior
     return prior
 
@@ -33,7 +33,7 @@ def prior_kinds() -> list[str]:
 
 
 def prior_class(kind: str) -> type[Prior]:
-    """The prior of a kind.
+    """Class of the priors of a kind.
 
     Raises:
         UnknownPriorError: No prior has that kind.

@@ -17,7 +17,7 @@ STRAIGHT = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 class RestShape:
     """Rest strain along a body of S segments that meet at `joints` (S−1,) in metres.
 
-    `strain` (S, 6) is that where each segment begins and `slope` (S, 6) its change per metre.
+    `strain` (S, 6) is the strain where each segment begins, `slope` (S, 6) its change per metre.
     """
 
     strain: Array
@@ -26,23 +26,23 @@ class RestShape:
 
     @classmethod
     def of_segments(cls, strain: Array, slope: Array, joints: Array) -> RestShape:
-        """The shape of strain and slope (6,) of the whole body, or (S, 6) of its segments."""
+        """Shape from strain and slope, (6,) of the whole body or (S, 6) of its segments."""
         strain, slope = np.broadcast_arrays(np.atleast_2d(strain), np.atleast_2d(slope))
         return cls(strain, slope, joints if len(strain) > 1 else np.zeros(0))
 
     def at(self, arclength: Array) -> Array:
-        """Rest strain (M, 6) at arclengths (M,); at a joint the one beyond it."""
+        """Rest strain (M, 6) at arclengths (M,); at a joint that of the segment beyond."""
         segment = segment_at(self.joints, arclength)
         begins = np.concatenate([[0.0], self.joints])[segment]
         return self.strain[segment] + (arclength - begins)[:, None] * self.slope[segment]
 
     def error(self, arclength: Array, offset: Array) -> Array:
-        """Error (M, 12) at rest of a piece that begins at `arclength` (M,), `offset` (M,) long.
+        """Error (M, 12) at rest of pieces that begin at `arclength` (M,), `offset` (M,) long.
 
-        [log(exp(−u ε₀) T₀⁻¹ T(u)); ε(u) − ε₀] with no joint inside, the product of exponentials
-        after Magnus to the order u⁵. Source: equation (2').
+        [log(exp(−u ε₀) T₀⁻¹ T(u)); ε(u) − ε₀] without a joint inside, the product of
+        exponentials by Magnus' expansion to the order u⁵. Source: equation (2').
         """
-        if not self.slope.any():  # as where a strain is constant nothing is left
+        if not self.slope.any():  # zero for a constant strain
             return np.zeros((arclength.size, 12))
         strain = self.at(arclength)
         slope = self.slope[segment_at(self.joints, arclength)]

@@ -1,9 +1,9 @@
 """The separable space-time prior: every arclength interval is a stationary process in time.
 
 The error of an interval (equation 2') is a Gaussian process in time with covariance k(t−t') Q, k a
-Matérn-3/2 of unit variance, and so are base pose and base strain. It is one process over the plane:
-neither more nodes nor a longer recording changes what it says. Nodes know their strain rate, 24
-numbers each. Source: equations (6) to (9).
+Matérn-3/2 of unit variance, and so are base pose and base strain. The process is defined on the
+continuum, so that neither more nodes nor a longer recording changes it. Nodes have a strain rate,
+24 numbers each. Source: equations (6) to (9).
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ from glissando.model.priors.transitions import bridge, process_covariances
 from glissando.model.state import POSE, STRAIN, State
 from glissando.model.table import Table, pose_table
 
-_HARDLY = 1e-30  # of a density, where none counts but their ratio does
+_HARDLY = 1e-30  # factor on densities whose ratios alone matter
 
 
 @dataclass(frozen=True)
 class BaseVariance:
-    """How much pose and strain at s = 0 vary about where the robot stands and rests; each (6,)."""
+    """Variances of pose and strain at s = 0 about their expected values; each (6,)."""
 
     pose: Array
     strain: Array
@@ -65,14 +65,13 @@ class SeparablePrior(StationaryPrior):
     """Gaussian process on pose and strain over arclength × time.
 
     `psd_strain_arclength` (6,) is the density of white noise on ∂ε/∂s at any one time, a strain
-    variance per metre; `time_scale` ℓ in seconds is how long a shape is remembered; `base` says how
-    far pose and strain at s = 0 stray from `base_pose` (4, 4) and `rest_strain` (6,). A robot of S
-    segments gives densities (S, 6), the `joints` (S−1,) between them in metres, and `jumps`
-    (S−1, 6), variances of the strain's jump there; it may be curved at rest, with the strain
-    `rest_strain` (S, 6) where each segment begins and its change per metre `rest_slope` (S, 6).
-    A clamped base stands where it stands, though nobody knows exactly where: with a
-    `base_time_scale` in seconds its pose is remembered for that long, ℓ at least and 200 time nodes
-    at most.
+    variance per metre; `time_scale` ℓ is the correlation time of shapes in seconds; `base` holds
+    the variances of pose and strain at s = 0 about `base_pose` (4, 4) and `rest_strain` (6,). A
+    robot of S segments has densities (S, 6), the `joints` (S−1,) between them in metres, and
+    `jumps` (S−1, 6), variances of the strain's jump there; it may be curved at rest, with the
+    strain `rest_strain` (S, 6) where each segment begins and its change per metre `rest_slope`
+    (S, 6). The pose of a clamped base is uncertain but constant: `base_time_scale`, in seconds, is
+    its longer correlation time, of at least ℓ and at most 200 time steps.
     Source: equations (6) to (9).
     """
 
@@ -101,7 +100,7 @@ class SeparablePrior(StationaryPrior):
 
     @classmethod
     def from_table(cls, prior: Table, robot: Table) -> SeparablePrior:
-        """The prior of a robot file, from its [prior] table and the file with [base] and rest."""
+        """Prior from the table [prior] of a robot file, and from the file with [base] and rest."""
         fields = read_segments(prior, "var_jumps")
         fields |= read_rest(robot, 1 + fields["joints"].size if "joints" in fields else 1)
         base = robot.subtable("base")
@@ -114,7 +113,7 @@ class SeparablePrior(StationaryPrior):
         return replace(shape, base_time_scale=own)
 
     def to_table(self) -> dict[str, Any]:
-        """What a robot file says of this prior, as `from_table` reads it."""
+        """Tables of a robot file for this prior, in the form that `from_table` reads."""
         segments = self.psd_strain_arclength, self.joints, self.jumps
         prior = {"kind": self.kind, "time_scale": float(self.time_scale)}
         base = pose_table(self.base_pose)
@@ -130,7 +129,7 @@ class SeparablePrior(StationaryPrior):
         return RestShape.of_segments(self.rest_strain, self.rest_slope, self.joints)
 
     def with_soft_shear(self) -> SeparablePrior:
-        """The prior with shear and extension as soft as bending over 2 cm, or itself if not far."""
+        """Prior with shear and extension as soft as bending over 2 cm; itself if hardly stiffer."""
         psd = soften(self.psd_strain_arclength)
         if is_soft(self.psd_strain_arclength, psd):
             return self
@@ -138,7 +137,7 @@ class SeparablePrior(StationaryPrior):
         return replace(self, psd_strain_arclength=psd, base=base)
 
     def on(self, grid: Grid) -> SeparablePrior:
-        """The prior as its factors on a grid have it: dense time nodes shorten the base's memory.
+        """Prior as its factors on a grid use it: dense time nodes limit the base's time scale.
 
         Args:
             grid: The grid.
@@ -149,17 +148,17 @@ class SeparablePrior(StationaryPrior):
         return replace(self, base_time_scale=scale)
 
     def rest_state(self, grid: Grid) -> State:
-        """The robot at rest on the grid, from which an estimate starts."""
+        """State of the robot at rest on the grid, from which an estimate starts."""
         rest, still = self.rest, np.zeros((*grid.shape, 6))
         pose = np.broadcast_to(rest.poses(self.base_pose, grid.arclength), (*grid.shape, 4, 4))
         strain = np.broadcast_to(rest.at(grid.arclength), still.shape)
         return State(pose.copy(), strain.copy(), still, still.copy())
 
     def retract_strains(self, grid: Grid, state: State, step: Array) -> State:
-        """The state moved by `step` (K, N, 24) interval by interval from the base outwards.
+        """State after a `step` (K, N, 24), built interval by interval from the base outwards.
 
-        The errors of intervals move as the step says to first order, so poses and strains stay
-        together however long it is.
+        The errors of intervals change by the step to first order, so that poses and strains stay
+        consistent however long it is.
         """
         moved = [state.take(np.s_[:, 0]).retract(step[:, 0])]
         for n, h in enumerate(np.diff(grid.arclength)):
@@ -176,7 +175,7 @@ class SeparablePrior(StationaryPrior):
     ) -> Iterator[Factors]:
         """Factors that begin at the time nodes `times`, linearised at `state`.
 
-        Every interval, and the base, at the first time and from each of `times` to the next.
+        They are of every interval and the base, at the first time and from each of `times` on.
         """
         k_count, n_count = grid.shape
         self.require_digits(grid)
@@ -222,14 +221,14 @@ class SeparablePrior(StationaryPrior):
         jacobian: Array,
         cov: Array,
     ) -> Iterator[Factors]:
-        """Factors of the base whose pose is remembered for longer than its strain."""
+        """Factors of a base whose pose has a longer time scale than its strain."""
         for scale, part in ((pose_scale, POSE), (self.time_scale, STRAIN)):
             rows = np.r_[part, part.start + 12 : part.stop + 12]
             parts = error[..., rows], jacobian[..., rows, :, :], cov[..., part, part]
             yield from chain_factors(scale, first, steps, nodes, *parts, paired=False)
 
     def _base(self, state: State) -> tuple[Array, Array, Array]:
-        """Error [r; ṙ] (K, 1, 24) of the base, its Jacobian (K, 1, 24, 1, 24) and variance."""
+        """Error [r; ṙ] (K, 1, 24) of the base, its Jacobian (K, 1, 24, 1, 24), and covariance."""
         at = state.take(np.s_[:, :1])
         error, jacobian = place_error(self.base_pose, self.rest.at(np.zeros(1)), at)
         cov = np.broadcast_to(np.diag(self._base_variance), (*error.shape[:2], 12, 12))
@@ -241,7 +240,7 @@ class SeparablePrior(StationaryPrior):
         return np.concatenate([self.base.pose, self.base.strain])
 
     def _interval_covariances(self, grid: Grid, noise_state: State) -> tuple[Array, Array]:
-        """Strains (K, N−1, 6) that intervals are linearised about, and their Q (K, N−1, 12, 12)."""
+        """Strains (K, N−1, 6) about which intervals are linearised, and Q (K, N−1, 12, 12)."""
         psd, jump = self._intervals(grid)
         lengths = np.diff(grid.arclength)
         strain = interval_strain(
@@ -254,14 +253,14 @@ class SeparablePrior(StationaryPrior):
         return by_interval(grid.arclength, self.psd_strain_arclength, self.joints, self.jumps)
 
     def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
-        """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
+        """Factors of static shapes, linearised at pose and strain of nodes (S, N)."""
         base = self.base_pose, self._base_variance
         yield from static_factors(grid, state, self.rest, self._intervals(grid), base)
 
     def between(
         self, grid: Grid, start: State, end: State, k: Index, s: Cells, gain: Array
     ) -> tuple[State, Array]:
-        """State (M,) inside the intervals `s` at time nodes k, Jacobian (M, 24, 2, 24) by both."""
+        """State (M,) inside intervals `s` at time nodes k, Jacobian (M, 24, 2, 24) by both ends."""
         within = s.step, s.offset, gain, self._rest_within(grid, s)
         at, *jacobians = interval_between(start, end, *within)
         return at, np.stack(jacobians, axis=2)
@@ -285,7 +284,7 @@ class SeparablePrior(StationaryPrior):
     ) -> list[tuple[float, Array]]:
         """Prior covariances K_s (M, 12, 12) of pose and strain along the shapes at time nodes k.
 
-        A base with a time scale of its own moves the whole body, by what no strain adds to.
+        A base with its own time scale adds a term: a motion of the whole body without strain.
         """
         nothing, parts = np.zeros(6), [(self.time_scale, (self.base.pose, self.base.strain), 1.0)]
         slow = self.on(grid).base_time_scale

@@ -1,4 +1,4 @@
-"""What a prior says of shapes that hold still: pose and strain, no velocity."""
+"""Prior factors of static shapes: pose and strain, no velocity."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from glissando.model.priors.steps import static_steps
 from glissando.model.state import State
 
 STATIC_DOF = 12
-"""Degrees of freedom of a node that holds still: pose and strain."""
+"""Degrees of freedom of a node of a static shape: pose and strain."""
 
 _DOFS = slice(0, STATIC_DOF)
-_FAR = 1.5 * STATIC_DOF  # squared length of a whitened error that is no estimate's, but on its way
+_FAR = 1.5 * STATIC_DOF  # squared whitened error above which a state is far from an estimate
 
 
 def static_factors(
@@ -30,15 +30,15 @@ def static_factors(
     intervals: tuple[Array, Array],
     base: tuple[Array, Array] | None,
 ) -> Iterator[Factors]:
-    """Factors of arclength intervals and of the base at single moments. Source: (2') and (5).
+    """Factors of arclength intervals and of the base of static shapes. Source: (2') and (5).
 
     Args:
-        grid: Moments (S) and arclength nodes (N).
-        state: Nodes (S, N) to linearise at.
+        grid: Grid of S shapes and N arclength nodes.
+        state: States (S, N) of the nodes to linearise at.
         rest: The shape at rest.
         intervals: Density (N−1, 6) of strain in each interval, variance (N−1, 6) of its jump.
-        base: Expected pose (4, 4) of the base, and variances (12,) of its pose and strain, if the
-            prior fixes it.
+        base: Expected pose (4, 4) of the base, and variances (12,) of its pose and strain; None
+            if the prior does not fix it.
     """
     count, n_count = grid.shape
     node = np.arange(count * n_count).reshape(count, n_count)

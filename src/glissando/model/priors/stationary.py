@@ -1,7 +1,7 @@
-"""What priors share whose arclength intervals are stationary processes in time.
+"""The base class of priors whose arclength intervals are stationary processes in time.
 
 An interval's error r is a Gaussian process with covariance k(t−t') Q, k a Matérn-3/2 of unit
-variance. Such priors differ in what r is and in Q. Source: equations (6) to (12).
+variance. Such priors differ in the definitions of r and Q. Source: equations (6) to (12).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from glissando.model.priors.intervals import as_fields, at_nodes, kron_pair
 from glissando.model.priors.rest_shape import RestShape
 from glissando.model.state import DOF, State
 
-_SAME = 1e-3  # of a step, as times of a loop are rounded, also those since 1970
+_SAME = 1e-3  # relative tolerance of steps, for rounding, also of Unix times
 _DENSEST = 200.0  # time nodes a time scale: beyond, rounding shows in the covariance
 
 
@@ -41,7 +41,7 @@ class StationaryPrior(Protocol):
 
     @property
     def rest(self) -> RestShape:
-        """The shape that is expected where nothing acts."""
+        """Expected shape of the undisturbed robot."""
 
     def arclength_bridge(
         self, grid: Grid, noise_state: State, k: Index, s: Cells
@@ -51,27 +51,27 @@ class StationaryPrior(Protocol):
     def between(
         self, grid: Grid, start: State, end: State, k: Index, s: Cells, gain: Array
     ) -> tuple[State, Array]:
-        """State (M,) inside the intervals `s` at time nodes k, Jacobian (M, 24, 2, dof) by both."""
+        """State (M,) inside intervals `s` at times k, and Jacobian (M, 24, 2, dof) by both ends."""
 
     def sections(
         self, grid: Grid, noise_state: State, k: Index, n: Index, s: Cells, inside: bool
     ) -> list[tuple[float, Array]]:
         """Prior covariances (M, 12, 12) of pose and strain at time nodes k, on n or inside `s`.
 
-        They add up; each goes with how long, in seconds, what varies so is remembered: ℓ first.
+        They add up; each comes with its correlation time in seconds, ℓ first.
         """
 
     @property
     def fixes_base(self) -> bool:
-        """True: a stationary base strays only so far from where it is expected."""
+        """True: the base's pose has a stationary distribution of finite covariance."""
         return True
 
     def least_step(self, arclength: Array) -> float:
-        """The least time between time nodes, s, at which information keeps its digits."""
+        """Least distance of time nodes, s, at which information stays numerically accurate."""
         return self.time_scale / _DENSEST * (1.0 - _SAME)
 
     def require_digits(self, grid: Grid) -> None:
-        """Raise OutsideGridError where time nodes are so dense that information loses digits."""
+        """Raise OutsideGridError if time nodes are so dense that information loses digits."""
         steps = np.diff(grid.time)
         if steps.size and np.median(steps) < self.least_step(grid.arclength):
             raise OutsideGridError(
@@ -85,9 +85,9 @@ class StationaryPrior(Protocol):
     ) -> Interpolation:
         """State at points between the nodes, conditional on the nodes. Source: (10) to (12).
 
-        Inside a cell: along arclength at both times, then along time. What is left uncertain is
-        that of the whole process, Σ_s ⊗ P∞ + (K_s − Σ_s) ⊗ Σ_t with K_s the prior covariance of the
-        cross-section, Σ_s and Σ_t what the bridges along arclength and along time leave.
+        Inside a cell: along arclength at both times, then along time. The bridge covariance is that
+        of the whole process, Σ_s ⊗ P∞ + (K_s − Σ_s) ⊗ Σ_t with K_s the prior covariance of the
+        cross-section, Σ_s and Σ_t the bridge covariances along arclength and along time.
         """
         s, t = points.along, points.through
         k = t.lower if points.inside_time else t.nearest
@@ -136,7 +136,7 @@ class StationaryPrior(Protocol):
     ) -> tuple[State, Index, Array]:
         """State, nodes (M, c) and Jacobian (M, 24, c, dof) at time nodes k.
 
-        At the arclength nodes n or, with the gains (M, 12, 12) of their errors, inside `s`.
+        At the arclength nodes n or, with gains (M, 12, 12) of interval errors, inside `s`.
         """
         if gain is None:
             return at_nodes(state, k, n)
@@ -147,7 +147,7 @@ class StationaryPrior(Protocol):
 
 
 def longest_scale(grid: Grid) -> float:
-    """The longest time scale, s, that information on these time nodes has digits for."""
+    """Longest time scale, s, at which these time nodes are not too dense numerically."""
     steps = np.diff(grid.time)
     return _DENSEST * float(np.median(steps)) if steps.size else np.inf
 
@@ -164,19 +164,19 @@ def chain_factors(
     paired: bool = True,
     angle: Array | None = None,
 ) -> Iterator[Factors]:
-    """Factors of I processes over K times. Source: equation (8).
+    """Factors of I stationary processes over K times. Source: equation (8).
 
     Args:
         time_scale: Time scale of the processes, s.
         first: Whether the first time is the first of all.
-        steps: Between times (K−1,), s.
+        steps: Time steps (K−1,), s.
         nodes: Nodes (K, I, c) that each process depends on.
         error: Errors [r; ṙ] (K, I, 2 r).
-        jacobian: Their Jacobians (K, I, 2 r, c, dof).
+        jacobian: Jacobians (K, I, 2 r, c, dof) of the errors by these nodes.
         cov: Covariances Q (K, I, r, r).
         paired: Whether the last six rows and columns of Q are diagonal.
-        angle: By how much first nodes (K, I) of processes rolled since Q was found. Given where
-            errors are those of a body frame and Q is alike across its z: they are turned back.
+        angle: Rolls (K, I), rad, of the processes' first nodes since Q was evaluated, by which
+            errors are rotated back. Only if errors are in a body frame and Q is equal in x and y.
     """
     every, shape = slice(0, jacobian.shape[-1]), error.shape[:2]
     if first:

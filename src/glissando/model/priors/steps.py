@@ -1,8 +1,8 @@
 """One step between two nodes: the errors the prior penalises, and the point between them.
 
 A step goes along arclength (the pose moves by its strain, the velocity is carried rigidly) or along
-time (the pose moves by its velocity, the strain stays). `Direction` says which components of a node
-play which part, so both directions share every line.
+time (the pose moves by its velocity, the strain stays). `Direction` assigns the components of a
+node to these roles, so that both directions share their code.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from glissando.model.grid import Index
 from glissando.model.state import STRAIN, VELOCITY, State
 
 Densities = tuple[Array, Array, Array]
-"""Of steps: densities (M, 6) of the moving field, of the carried field, variance of a jump."""
+"""Densities (M, 6) of the moving and of the carried field in steps, variance of a jump."""
 
 
 @dataclass(frozen=True)
@@ -68,12 +68,12 @@ def weighted_steps(
     Args:
         direction: Along arclength or time.
         flat: States (L,) in which nodes are indices.
-        noise_state: States (L,) whose rates the noise is linearised about; errors are those of its
-            axes, where densities are alike across z (equation 35).
-        nodes: Both ends (M, 2) of each step.
+        noise_state: States (L,) at whose rates the noise is evaluated; errors are in its axes if
+            densities are equal in x and y (equation 35).
+        nodes: Indices (M, 2) of both ends of each step.
         step: Lengths (M,), metres or seconds.
-        weight: Factors (M,) of the whiteners.
-        densities: Of the noise.
+        weight: Factors (M,) on the whiteners.
+        densities: Densities of the noise.
     """
     fields = flat.pose, direction.rate_of(flat), direction.carried_of(flat)
     whitened = kernels.weighted_steps(
@@ -87,11 +87,11 @@ def weighted_steps(
 def static_steps(
     flat: State, nodes: Index, step: Array, psd: Array, jump: Array
 ) -> tuple[Array, Array, Array]:
-    """Errors (M, 12) of arclength steps of shapes that hold still. Source: equation (2').
+    """Errors (M, 12) of arclength steps of static shapes. Source: equation (2').
 
     Args:
         flat: States (L,) in which nodes are indices.
-        nodes: Both ends (M, 2) of each step.
+        nodes: Indices (M, 2) of both ends of each step.
         step: Lengths (M,), metres.
         psd: Densities (M, 6) of strain.
         jump: Variances (M, 6) of strain's jump at the end.

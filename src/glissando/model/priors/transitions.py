@@ -1,13 +1,13 @@
-"""Exact transitions of a pose pair along one direction: means, noise and bridges.
+"""Exact transitions of [pose, rate] along one direction: process noise and bridges.
 
-Along arclength a pose T moves by its strain, along time by its velocity; call either `rate`, and
-let white noise drive it. About a constant rate the error δ of the pose and δr of the rate obey
+Along arclength a pose T moves by its strain, along time by its velocity; either is called `rate`
+and is driven by white noise. About a constant rate the errors δ of the pose and δr of the rate obey
 
     δ' = −ad(rate) δ + δr,   δr' = w,        so   Φ(h) = [Ad(exp(−h rate)), h J_r(h rate); 0, I].
 
 The integrands of the noise are polynomials in ad(rate) whose coefficients depend on the angle
-alone, so quadrature of scalars is enough. Everything here is a batch over intervals with a leading
-axis M. Source: equations (2'), (3') and (12).
+alone, so quadrature of scalars is enough. Arrays are batches over intervals with a leading axis M.
+Source: equations (2'), (3') and (12).
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ def process_covariances(
     rigid: bool,
     jump: Array | float = 0.0,
 ) -> tuple[Array, Array]:
-    """Noise of an interval on [pose error, rate error] and on the carried field.
+    """Process noise of an interval on [pose error, rate error] and on the carried field.
 
     The first is ∫ Φ(u) diag(0, psd) Φ(u)ᵀ du (equation 2'), plus the variance of a jump of the rate
     at the end; the second ∫ Ad(exp(−u rate)) diag(carried_psd) Ad(…)ᵀ du when the field is carried
-    rigidly with the body, else step · diag(carried_psd). Quadrature errs by about 1e-10 of it for a
-    step that turns the body by one radian.
+    rigidly with the body, else step · diag(carried_psd). The relative error of quadrature is about
+    1e-10 for a step that turns the body by one radian.
 
     Args:
         rate: Strain or velocity (…, 6).
@@ -63,7 +63,7 @@ def process_covariances(
 def bridge(
     rate: Array, step: Array, offset: Array, psd: Array, jump: Array | float = 0.0
 ) -> tuple[Array, Array]:
-    """What both ends of an interval say of a point inside: gain and leftover covariance.
+    """Gain and bridge covariance of a point inside an interval whose ends are known.
 
     gain = Q(u) Φ(h−u)ᵀ Q(h)⁻¹ and cov = Q(u) − gain Φ(h−u) Q(u), which equals equation (12). Gains
     do not depend on the scale of the densities, covariances are proportional to it.
@@ -71,7 +71,7 @@ def bridge(
     Args:
         rate: Strain or velocity (…, 6).
         step: Length (…) of the interval, metres or seconds.
-        offset: Place (…) of the point in it.
+        offset: Distance (…) of the point from the beginning.
         psd: Densities of the moving field, (6,) or (…, 6).
         jump: Variance (…, 6) of a jump of the rate at the interval's end.
 

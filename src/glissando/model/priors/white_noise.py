@@ -1,8 +1,8 @@
 """The kinematic space-time prior: white noise on the rates, exact transitions between nodes.
 
-White noise drives ∂ϖ/∂t, ∂ε/∂s and ∂ε/∂t (equations 3 to 5). Its strengths are densities over
-arclength AND time: a node's factor is weighted by the span the node stands for, so that refining
-the grid does not repeat the prior as if it were news.
+White noise drives ∂ϖ/∂t, ∂ε/∂s and ∂ε/∂t (equations 3 to 5). Its densities are over arclength and
+time: a node's factor is weighted by the span that the node represents, so that a finer grid does
+not count the prior repeatedly.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from glissando.model.priors.steps import ARCLENGTH, TIME, Direction, weighted_st
 from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State, rest_state
 from glissando.model.table import Table, pose_table
 
-_WOUND = 300.0  # rad of winding: with more, a factor of the information loses its last digits
+_WOUND = 300.0  # rad of winding, above which the factor of the information has no digits left
 _ALL = slice(0, DOF)
 
 
 @dataclass(frozen=True)
 class BaseDensity:
-    """How firmly pose, strain and velocity are known at s = 0; each (6,), variance · second.
+    """Densities of pose, strain and velocity at s = 0 by the prior; each (6,), variance · second.
 
-    A time node that stands for Δt seconds knows its base with covariance density / Δt. With a
+    At a time node that represents Δt seconds the base has the covariance density / Δt. With a
     single time node (a static shape) Δt counts as one second, so these are plain variances.
     """
 
@@ -63,12 +63,12 @@ class WhiteNoisePrior:
     Densities are (6,), [linear, angular], of white noise over arclength and time:
     `psd_strain_arclength` on ∂ε/∂s and `psd_velocity_arclength` on ∂ϖ/∂s (weighted by time spans),
     `psd_velocity_time` on ∂ϖ/∂t and `psd_strain_time` on ∂ε/∂t (weighted by arclength spans).
-    `rest_strain` (6,) and `base_pose` (4, 4) are where the robot rests and stands; `base` says how
-    firmly, and may be None when readings fix the base. A robot of S segments gives
+    `rest_strain` (6,) and `base_pose` (4, 4) are the expected strain and pose at s = 0, `base`
+    their densities, or None when readings fix the base. A robot of S segments has
     `psd_strain_arclength` (S, 6), the `joints` (S−1,) between them in metres, and `jumps`
-    (S−1, 6), variance · second of the strain's jump there. For a robot that now moves and now
-    holds, `pace` (P + 1,) multiplies the densities along time before, between and after
-    `pace_times` (P,), by the middle of a step. Source: equations (2'), (3'), (4), (5).
+    (S−1, 6), variance · second of the strain's jump there. For a robot that moves at some times
+    only, `pace` (P + 1,) multiplies the densities along time before, between and after
+    `pace_times` (P,), s, at the middle of a step. Source: equations (2'), (3'), (4), (5).
     """
 
     psd_velocity_time: Array
@@ -101,7 +101,7 @@ class WhiteNoisePrior:
 
     @classmethod
     def from_table(cls, prior: Table, robot: Table) -> WhiteNoisePrior:
-        """The prior of a robot file, from its [prior] table and the file with [base] and rest."""
+        """Prior from the table [prior] of a robot file, and from the file with [base] and rest."""
         rest, psd = robot.peek("rest_strain"), ("pose", "strain", "velocity")
         rows = isinstance(rest, list) and any(isinstance(row, list) for row in rest)
         if rows or robot.peek("rest_slope") is not None:
@@ -125,7 +125,7 @@ class WhiteNoisePrior:
         return cls(base=densities, **fields)
 
     def to_table(self) -> dict[str, Any]:
-        """What a robot file says of this prior, as `from_table` reads it."""
+        """Tables of a robot file for this prior, in the form that `from_table` reads."""
         names = ("psd_velocity_time", "psd_strain_time", "psd_velocity_arclength")
         segments = self.psd_strain_arclength, self.joints, self.jumps
         prior = {"kind": self.kind, **segments_table(*segments, "psd_jumps")}
@@ -139,19 +139,19 @@ class WhiteNoisePrior:
 
     @property
     def rest(self) -> RestShape:
-        """The shape at rest, of one strain."""
+        """Shape at rest, of constant strain."""
         return RestShape(self.rest_strain[None], np.zeros((1, 6)), np.zeros(0))
 
     @property
     def fixes_base(self) -> bool:
-        """Whether the prior alone says where the robot stands."""
+        """Whether the prior alone determines the pose of the base."""
         return self.base is not None
 
     def least_step(self, arclength: Array) -> float:
-        """The least time between time nodes, s, at which information keeps its digits.
+        """Least distance of time nodes, s, at which information stays numerically accurate.
 
-        One node alone knows the less of strain the shorter the time for which it stands: there a
-        body of standard deviation would be wound by `_WOUND`.
+        The prior of one time node alone is the wider, the shorter the time that it represents: at
+        this distance a body one standard deviation from rest would be wound by `_WOUND`.
         """
         length = float(arclength[-1] - arclength[0])
         psd = 0.5 * length * np.max(self.psd_strain_arclength[..., 3:])
@@ -159,9 +159,9 @@ class WhiteNoisePrior:
         return float(2.0 * psd * (length / _WOUND) ** 2)
 
     def with_soft_shear(self) -> WhiteNoisePrior:
-        """The prior with shear and extension as soft as bending over 2 cm, or itself if not far.
+        """Prior with shear and extension as soft as bending over 2 cm; itself if hardly stiffer.
 
-        Its estimates bend easily, which makes them a start for the stiffer one.
+        Its estimates converge more easily, so that the stiffer prior's can start from them.
         """
         names = ("psd_strain_arclength", "psd_strain_time")
         soft = {name: soften(getattr(self, name)) for name in names}
@@ -173,11 +173,11 @@ class WhiteNoisePrior:
         return replace(self, **soft, base=base)
 
     def rest_state(self, grid: Grid) -> State:
-        """The robot at rest on the grid, from which an estimate starts."""
+        """State of the robot at rest on the grid, from which an estimate starts."""
         return rest_state(grid, self.base_pose, self.rest_strain)
 
     def retract_strains(self, grid: Grid, state: State, step: Array) -> State:
-        """The state moved by `step` (K, N, 18), with poses that follow from the strains."""
+        """State after a `step` (K, N, 18), with poses that follow from the strains."""
         moved = state.retract(step)
         lengths = np.diff(grid.arclength)
         strain = interval_strain(
@@ -191,13 +191,13 @@ class WhiteNoisePrior:
     def along_arclength(self, arclength: Array, at: Index) -> tuple[Array, Array, Array]:
         """Densities (M, 6) of steps from the nodes `at` (M,) of `arclength` (N,).
 
-        Of strain, of the velocity that is carried along, and of strain's jump at the end.
+        They are of strain, of the carried velocity, and of the strain's jump at the end.
         """
         psd, jump = self._intervals(arclength)
         return psd[at], np.full((at.size, 6), self.psd_velocity_arclength), jump[at]
 
     def along_time(self, time: Array) -> tuple[Array, Array, Array]:
-        """Densities (M, 6) of steps with middles at times (M,): of velocity, strain, and a jump."""
+        """Densities (M, 6) of steps with middles at times (M,): of velocity, strain, no jump."""
         moving, carried = (
             np.full((time.size, 6), psd) for psd in (self.psd_velocity_time, self.psd_strain_time)
         )
@@ -214,8 +214,8 @@ class WhiteNoisePrior:
     ) -> Iterator[Factors]:
         """Prior factors that begin at the time nodes `times`, linearised at `state`.
 
-        Along arclength at each of those times, along time to the next, and at the base. Their
-        weights come from the rates of `noise_state`, a state on the same grid.
+        They go along arclength at each of those times, along time to the next, and to the base.
+        Their weights are evaluated at the rates of `noise_state`, a state on the same grid.
         """
         k_count, n_count = grid.shape
         node = np.arange(k_count * n_count).reshape(k_count, n_count)
@@ -237,7 +237,7 @@ class WhiteNoisePrior:
             yield self._base(grid.time_spans[times], flat, here[:, :1])
 
     def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
-        """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
+        """Factors of static shapes, linearised at pose and strain of nodes (S, N)."""
         base = (self.base_pose, self._base_densities[:12]) if self.base else None
         intervals = self._intervals(grid.arclength)
         yield from static_factors(grid, state, self.rest, intervals, base)
@@ -248,8 +248,8 @@ class WhiteNoisePrior:
         """State at points between the nodes, conditional on the nodes. Source: (10) to (12).
 
         Inside a cell: along arclength at both times, then along time. Gains and bridge covariances
-        come from the rates of `noise_state`, a state on the same grid, as the weights of the
-        factors do; they are constants to the Jacobian.
+        are evaluated at the rates of `noise_state`, a state on the same grid, as the weights of the
+        factors are; the Jacobian treats them as constant.
         """
         cells = points.along, points.through
         lower = np.stack([each.lower for each in cells], axis=1)
@@ -267,7 +267,7 @@ class WhiteNoisePrior:
     def arclength_densities(self, arclength: Array) -> Array:
         """Densities (N−1, 3, 6) of the steps between arclength nodes (N,).
 
-        Each of the moving field, of the carried one, and the variance of a jump.
+        For each step: of the moving field, of the carried one, and the variance of a jump.
         """
         return np.stack(self.along_arclength(arclength, np.arange(arclength.size - 1)), axis=1)
 
@@ -282,17 +282,17 @@ class WhiteNoisePrior:
         self, grid: Grid, state: State, densities: Sequence[Array], readings: Sequence[Any],
         sums: Sequence[Array],
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Add what `factors` says, and readings, linearised at nodes (K, N), to intervals' sums.
+        """Add the prior's factors and readings, linearised at nodes (K, N), to intervals' sums.
 
         Args:
-            grid: The nodes.
-            state: Nodes (K, N) to linearise at; the weights come from them as well.
-            densities: Those of the steps along arclength and along time.
-            readings: `ReadingRows.memory`, and which rows (M,) of it.
-            sums: Those of a `NormalEquationsBuilder`.
+            grid: Grid of the nodes.
+            state: States (K, N) to linearise at, which also determine the weights.
+            densities: Densities of the steps along arclength and along time.
+            readings: `ReadingRows.memory`, and indices (M,) of rows of it.
+            sums: Sums of a `NormalEquationsBuilder`, to which is added in place.
 
         Returns:
-            Nodes (M, 4), slopes, residuals, whiteners and weights (M,) of the readings' factors.
+            Nodes (M, 4), Jacobians, residuals, whiteners and weights (M,) of the readings' factors.
         """
         where = grid.arclength, grid.time, grid.arclength_spans, grid.time_spans, *state.fields()
         base = self.base_pose, self.rest_strain, self._base_densities
@@ -302,7 +302,7 @@ class WhiteNoisePrior:
 
     @cached_property
     def _base_densities(self) -> Array:
-        """Densities (18,) of the base, none where it is not known."""
+        """Densities (18,) of the base; empty if there are none."""
         return np.concatenate([np.zeros(0), *(vars(self.base).values() if self.base else ())])
 
     def _along(

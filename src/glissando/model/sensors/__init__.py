@@ -1,1 +1,1 @@
-"""The sensors: readings, what each expects of a state, parameters not known exactly."""
+"""The sensors: readings with their residuals, and uncertain sensor parameters."""

@@ -14,7 +14,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, POSE, VELOCITY, AcceleratedState, State
 
-_HEAVIEST = 30.0  # m/s²: more is another unit
+_HEAVIEST = 30.0  # m/s², above which a unit is wrong
 _R, _W = slice(POSE.start + 3, POSE.stop), slice(VELOCITY.start + 3, VELOCITY.stop)
 
 
@@ -22,13 +22,13 @@ _R, _W = slice(POSE.start + 3, POSE.stop), slice(VELOCITY.start + 3, VELOCITY.st
 class AccelerometerReadings(Readings, kind="accelerometer"):
     """Specific force in the sensor's own frame: `values` (M, 3) in m/s². Source: (33).
 
-    At rest it is the reaction to gravity and shows the tilt. An estimator hands over states with
-    their acceleration; of a state without one the residual is zero, it says nothing.
+    At rest it is the reaction to gravity, which depends on the tilt. Estimators pass states with
+    acceleration; for a state without it the residual is zero, and readings have no effect.
 
     Attributes:
         gravity: Acceleration of free fall (3,) in the world, m/s².
-        span: How long a reading averages (1,), s. A prior whose acceleration is white noise leaves
-            it the more uncertain the shorter this is.
+        span: Averaging time of a reading (1,), s. With a prior whose acceleration is white noise,
+            readings are the more uncertain the shorter it is.
     """
 
     gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
@@ -42,7 +42,7 @@ class AccelerometerReadings(Readings, kind="accelerometer"):
 
     @property
     def expected_shape(self) -> tuple[int, ...]:
-        """Three forces. Raises SensorError for a gravity or a span that cannot be."""
+        """(3,): three forces. Raises SensorError for an impossible gravity or span."""
         gravity, span = np.asarray(self.gravity, float), np.atleast_1d(np.asarray(self.span, float))
         if gravity.shape != (3,) or not np.linalg.norm(gravity) <= _HEAVIEST:
             raise SensorError(

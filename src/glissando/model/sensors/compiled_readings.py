@@ -1,4 +1,4 @@
-"""Sensors whose residuals a kernel computes, and their readings as rows that it takes together."""
+"""Sensors whose residuals kernels compute, and their readings as rows for these kernels."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from glissando.model.noise import GemanMcClure, Huber
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, State
 
-_ROOM = 64  # rows that memory is made for at first
+_ROOM = 64  # rows that are allocated at first
 _LOSSES: dict[type, float] = {
     type(None): 0.0,
     Huber: white_noise.HUBER,
@@ -25,12 +25,12 @@ _LOSSES: dict[type, float] = {
 
 
 class CompiledReadings(Readings):
-    """What sensors share whose residuals a kernel computes: the `sensor` of that number."""
+    """Base class of sensors whose residual a kernel computes; `sensor` is its number there."""
 
     sensor: ClassVar[int]
 
     def _sensed(self, at: State) -> tuple[Array, Array]:
-        """Residuals (…, rows) and their slopes (…, rows, 18) at states."""
+        """Residuals (…, rows) and their Jacobians (…, rows, 18) at states."""
         lead, width = at.pose.shape[:-2], math.prod(self.values.shape[1:])
         values = items(self.values.reshape(len(self), width), lead, width)
         poses = items(self.mount, lead, 4, 4), items(at.pose, lead, 4, 4)
@@ -44,17 +44,17 @@ class CompiledReadings(Readings):
         return self._sensed(at)[0]
 
     def jacobian(self, at: State) -> Array:
-        """Slopes (M, rows, 18) of the residual by the state."""
+        """Jacobian (M, rows, 18) of the residual by the state."""
         return self._sensed(at)[1]
 
 
 class ReadingRows:
-    """Readings of all streams as rows that kernels take together, in order of arrival.
+    """Readings of all streams in arrays of rows for kernels, in order of arrival.
 
     Attributes:
-        count: How many there are.
-        old: How many of them were there before the last arrival.
-        stream: Number (·,) of each row's stream; more than `count`, as of all arrays.
+        count: Number of rows in use.
+        old: Number of these rows that precede the last arrival.
+        stream: Index (·,) of each row's stream; like all arrays, longer than `count`.
     """
 
     def __init__(self) -> None:
@@ -79,7 +79,7 @@ class ReadingRows:
         return self._rows, self._mounts, self._covs
 
     def append(self, stream: int, readings: CompiledReadings) -> None:
-        """Readings of a stream more, which are `is_compiled`."""
+        """Append readings of a stream, for which `is_compiled` holds."""
         first, self.count = self.count, self.count + len(readings)
         if self.count > len(self.stream):
             self._keep(slice(0, first), room=2 * self.count)
@@ -93,14 +93,14 @@ class ReadingRows:
         )  # fmt: skip
 
     def keep(self, which: NDArray[np.bool_]) -> None:
-        """Let all others go than those rows (M,)."""
+        """Keep the rows (M,) of a mask and drop all others."""
         rows = np.flatnonzero(which)
         self.old = int(np.count_nonzero(which[: self.old]))
         self.count = rows.size
         self._keep(rows, room=len(self.stream))
 
     def _keep(self, which: NDArray[np.intp] | slice, room: int) -> None:
-        """Move some rows to the front of new memory."""
+        """Copy some rows to the front of newly allocated arrays."""
         for name in ("stream", "_rows", "_mounts", "_covs"):
             before = getattr(self, name)
             after, rows = np.empty((room, *before.shape[1:]), before.dtype), before[which]
@@ -109,7 +109,7 @@ class ReadingRows:
 
 
 def is_compiled(readings: Readings) -> TypeGuard[CompiledReadings]:
-    """Whether a kernel reads what they read; not so where it is uncertain where that is."""
+    """Whether a kernel computes their residual: at a certain place on the backbone only."""
     kind = type(readings)
     return (
         isinstance(readings, CompiledReadings)

@@ -1,4 +1,4 @@
-"""Arrays that readings are given: numbers, and rotations."""
+"""Checks of the arrays given to readings: numbers, rotations, and repeated rows."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from glissando.geometry.se3 import Array
 
 
 def numbers(label: str, name: str, value: Any) -> Array:
-    """An array of numbers. Raises SensorError for text, dates, complex numbers, masked rows."""
+    """Convert to an array of numbers. Raises SensorError for text, dates, complex, masked rows."""
     try:
         given = np.asanyarray(value)
         if given.dtype.kind not in "mMc":
@@ -45,7 +45,7 @@ def require_rotations(label: str, values: Array) -> None:
 
 
 def repeats_at_place(columns: Array, arclength: Array) -> NDArray[np.bool_]:
-    """Which rows (M,) of columns (M, C) repeat the row before them at the same arclength (M,)."""
+    """Mask (M,) of rows of columns (M, C) that repeat the last row at the same arclength (M,)."""
     again = np.zeros(len(columns), dtype=bool)
     order = np.argsort(arclength, kind="stable")
     here = np.diff(arclength[order]) == 0.0

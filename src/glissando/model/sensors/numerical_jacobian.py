@@ -1,4 +1,4 @@
-"""Derivatives of sensors that state none, by differences of their residual."""
+"""Jacobians of sensors that define none, by differences of their residual."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def numerical_jacobian(sensor: Sensor, at: State) -> Array:
     A piecewise constant residual has no useful slope; give such a sensor a smooth one.
 
     Raises:
-        SensorError: The two differ, so the residual is not smooth there.
+        SensorError: The two results differ, so the residual is not smooth there.
     """
     jacobians = []
     for step in (1e-5, 4e-5):

@@ -1,4 +1,4 @@
-"""Whether a sensor that states its own derivative states that of its residual."""
+"""A check that a sensor's own Jacobian is the derivative of its residual."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from glissando.model.sensors.numerical_jacobian import numerical_jacobian
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, State
 
-_ROWS = 3  # that are looked at
-_MOVED = 0.1  # m, rad and so on, from rest, where many residuals have no slope
-_OFF = 1e-3  # of the largest slope of a reading, beyond which a derivative is another's
+_ROWS = 3  # readings that are checked
+_MOVED = 0.1  # m, rad and so on, away from rest, where many residuals have zero slope
+_OFF = 1e-3  # largest error of a derivative, relative to the largest of a reading
 
-_fitting: set[type] = set()  # classes that were looked at
+_fitting: set[type] = set()  # classes that passed the check
 
 
 def require_own_jacobian(readings: Readings, rest: State) -> None:
-    """Raise SensorError where a sensor's jacobian(at) is not that of its residual(at), or none.
+    """Raise SensorError if jacobian(at) differs from the derivative of residual(at), or that is 0.
 
-    Sensors of the package are not looked at, others once a class.
+    Sensors of the package are not checked, other classes are checked once.
 
     Args:
         readings: Readings of the sensor.
-        rest: A shape of the robot (N,).
+        rest: States (N,) of one shape of the robot, of which the last is used.
     """
     kind = type(readings)
     known = kind in _fitting or kind.__module__.startswith("glissando.")
@@ -35,7 +35,7 @@ def require_own_jacobian(readings: Readings, rest: State) -> None:
     try:
         differences = numerical_jacobian(few, at)
     except (SensorError, ValueError, IndexError, TypeError):
-        return  # what is wrong with the residual is said where it is used
+        return  # errors of the residual are reported where it is used
     if not differences.any() and kind.jacobian is Readings.jacobian:
         raise SensorError(
             f"{readings.label}: residual(at) does not change with pose, strain or velocity, so its "

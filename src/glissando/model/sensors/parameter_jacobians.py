@@ -1,7 +1,7 @@
-"""How residuals depend on the sensor parameters that leave a reading in place.
+"""Jacobians of residuals by the sensor parameters that do not move readings.
 
-A frame or a mount acts as a motion of the cross-section does, so its slope follows from the
-residual's slope by the pose. Other sensors are differentiated numerically.
+A frame or a mount acts as a motion of the cross-section does, so that its Jacobian follows from
+that by the pose. Other sensors are differentiated numerically.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from glissando.model.sensors.sensors import (
 )
 from glissando.model.state import POSE, State
 
-_NUDGE = 1e-5  # by which a parameter is moved to difference a residual
+_NUDGE = 1e-5  # step of difference quotients by a parameter
 
 
 def by_frame(readings: Readings, at: State, by_state: Array) -> Array | None:
-    """Slope (M, r, 6) of residuals by a motion exp(ξ) of the values in the world, from the left.
+    """Jacobian (M, r, 6) of residuals by a left motion exp(ξ) of the values in the world frame.
 
     Args:
         readings: M readings, corrected.
-        at: States (M,) where they were taken.
-        by_state: Slope (M, r, 18) of the residuals by the state.
+        at: States (M,) at the readings.
+        by_state: Jacobian (M, r, 18) of the residuals by the state.
 
     Returns:
-        The slope, or None for a sensor to be differentiated numerically.
+        The Jacobian, or None for a sensor to be differentiated numerically.
     """
     if isinstance(readings, PoseReadings | CoilReadings | OrientationReadings):
         return -by_state[..., POSE] @ se3.adjoint(se3.inverse(at.pose))
@@ -47,7 +47,7 @@ def by_frame(readings: Readings, at: State, by_state: Array) -> Array | None:
 
 
 def by_mount(readings: Readings, at: State, by_state: Array) -> Array | None:
-    """Slope (M, r, 6) of residuals by a motion exp(ξ) of the sensor in its own frame."""
+    """Jacobian (M, r, 6) of residuals by a motion exp(ξ) of the sensor in its own frame."""
     if isinstance(readings, PoseReadings | CoilReadings | OrientationReadings | PositionReadings):
         return by_state[..., POSE] @ se3.adjoint(readings.mount)
     if isinstance(readings, GyroReadings):
@@ -58,7 +58,7 @@ def by_mount(readings: Readings, at: State, by_state: Array) -> Array | None:
 
 
 def by_bias(readings: Readings) -> Array | None:
-    """Slope (M, r, 3) of residuals by a bias that is taken off the values."""
+    """Jacobian (M, r, 3) of residuals by a bias that is subtracted from the values."""
     if isinstance(readings, AccelerometerReadings | GyroReadings | PositionReadings):
         return np.broadcast_to(np.eye(3), (len(readings), 3, 3))
     return None
@@ -71,20 +71,20 @@ def by_parameters(
     by_state: Array,
     parameters: Sequence[tuple[SensorParameter, Array]],
 ) -> list[Array]:
-    """Slopes of residuals by the parameters that leave readings in place.
+    """Jacobians of residuals by the parameters that do not move readings.
 
     Args:
-        readings: M readings as they were taken.
-        corrected: The same with every parameter applied.
-        at: States (M,) where they were taken.
-        by_state: Slope (M, r, 18) of the residuals by the state.
+        readings: M readings before correction.
+        corrected: The same readings with every parameter applied.
+        at: States (M,) at the readings.
+        by_state: Jacobian (M, r, 18) of the residuals by the state.
         parameters: The parameters with their values (M, size) at the times of the readings.
 
     Returns:
-        A slope (M, r, size) for each parameter.
+        A Jacobian (M, r, size) for each parameter.
     """
     kinds = {parameter.kind for parameter, _ in parameters}
-    after = dict.fromkeys(kinds, np.eye(4))  # motions of a kind that come after a parameter's
+    after = dict.fromkeys(kinds, np.eye(4))  # motions of a kind, applied after a parameter's
     slopes: list[Array] = []
     for i, (parameter, x) in reversed(list(enumerate(parameters))):
         slope = None
@@ -97,7 +97,7 @@ def by_parameters(
 def _slope(
     kind: str, readings: Readings, at: State, by_state: Array, x: Array, after: dict[str, Array]
 ) -> Array | None:
-    """Slope (M, r, size) by one parameter; its own motion joins those that come `after`."""
+    """Jacobian (M, r, size) by one parameter, whose own motion is added to `after`."""
     if kind == "bias":
         return by_bias(readings)
     later, own = after[kind], se3.exp(x)

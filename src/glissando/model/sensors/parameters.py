@@ -1,8 +1,8 @@
 """Sensor parameters: frames, mounts, offsets, biases; known, constant or drifting.
 
-A sensor parameter shifts the readings of its streams. One that is uncertain is estimated with the
-states: a process in time about its value, with the memory of an Ornstein-Uhlenbeck process, or a
-constant. One that is known (`std` of zeros) is applied and never estimated. Source: (16), (18).
+A sensor parameter corrects the readings of its streams. An uncertain one is estimated with the
+states, as an Ornstein-Uhlenbeck process in time about its expected value, or as a constant. A known
+one (`std` of zeros) is applied and never estimated. Source: (16), (18).
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ _MOVES: dict[str, tuple[str, Callable[[Readings], Array | float], str]] = {
     "time_offset": ("time", lambda r: -1.0, "seconds"),
     "slide_lag": ("arclength", lambda r: -r.slide_speed, "seconds"),
     "slide_play": ("arclength", lambda r: -0.5 * r.slide_way, "metres"),
-}  # what a parameter moves readings along, by how much one unit of it, and that unit
+}  # field that a parameter changes, its change by one unit of it, and that unit
 SIZES = {"frame": 6, "mount": 6, "bias": 3} | dict.fromkeys(_MOVES, 1)
-"""Kinds of sensor parameter and how many numbers each has."""
+"""Kinds of sensor parameter, with the number of components of each."""
 
 _TURN = 7.0  # rad
 _LARGEST_VALUE: dict[str, Array | float] = {
@@ -64,28 +64,28 @@ _LARGEST_STD: dict[str, Array | float] = {
     "slide_lag": 5.0,
     "slide_play": 0.1,
 }  # m, rad or s, beyond which a unit is wrong
-_FOR = {"frame": ((4, 4), (3, 3), (3,)), "bias": ((3,),)}  # kinds of value each is made for
+_FOR = {"frame": ((4, 4), (3, 3), (3,)), "bias": ((3,),)}  # shapes of values to which each applies
 
 
 @dataclass(frozen=True)
 class SensorParameter:
-    """Something about the sensors of some streams that is not known exactly.
+    """A parameter of the sensors of some streams, known or uncertain.
 
     Attributes:
-        name: Its name, in messages and files.
+        name: Name, in messages and files.
         kind: frame (the transform (6,) from the streams' frame to the world, as a logarithm), mount
             (a further transform (6,) of the sensor in the cross-section), bias (3,) of a gyroscope
-            or a position, arclength_offset (1,) in metres, time_offset (1,): how late stamps
-            are, in seconds; slide_lag (1,): how long, in seconds, a sliding sensor is behind where
-            its slide is said to be; or slide_play (1,): how far, in metres, the slide moves after
-            a turn before the sensor does.
-        streams: Names of the readings that it shifts.
+            or a position, arclength_offset (1,) in metres, time_offset (1,): delay of time stamps
+            in seconds; slide_lag (1,): delay, in seconds, of a sliding sensor behind the reported
+            travel of its slide; or slide_play (1,): travel, in metres, of the slide after a
+            reversal before the sensor moves.
+        streams: Names of the readings to which it applies.
         value: Expected value (size,).
         std: Standard deviation (size,) about it; zeros if it is known.
-        correlation_time: Seconds for which it is remembered; infinite for a constant.
+        correlation_time: Correlation time, s; infinite for a constant.
 
     Raises:
-        SensorError: The kind is not known, sizes do not fit, or streams are no list.
+        SensorError: The kind is not known, sizes do not fit, or streams is not a list.
     """
 
     name: str
@@ -124,7 +124,7 @@ class SensorParameter:
             )
 
     def _require_units(self, part: str, given: Array) -> None:
-        """Raise SensorError for millimetres, degrees or milliseconds."""
+        """Raise SensorError for numbers as large as millimetres, degrees or milliseconds."""
         most = (_LARGEST_VALUE if part == "value" else _LARGEST_STD).get(self.kind)
         if most is None or not np.any(over := np.abs(given) > most):
             return
@@ -150,26 +150,26 @@ class SensorParameter:
 
     @property
     def size(self) -> int:
-        """How many numbers it has."""
+        """Number of components."""
         return SIZES[self.kind]
 
     @property
     def known(self) -> bool:
-        """Whether it is as given and not estimated."""
+        """Whether it is known exactly, and therefore not estimated."""
         return not np.any(self.std > 0.0)
 
     @property
     def moves(self) -> bool:
-        """Whether it changes where or when readings were taken."""
+        """Whether it changes the arclengths or times of readings."""
         return self.kind in _MOVES
 
     @property
     def along(self) -> str:
-        """What a parameter that moves readings moves them along: arclength or time."""
+        """Field of readings that a parameter which `moves` changes: arclength or time."""
         return _MOVES[self.kind][0]
 
     def lever(self, readings: Readings) -> Array | float:
-        """How far one unit of a parameter that moves readings moves each of them, (M,) or one."""
+        """Change of that field by one unit of a parameter which `moves`, (M,) or one number."""
         return _MOVES[self.kind][1](readings)
 
     def shift(self, readings: Readings, x: Array) -> Readings:
@@ -193,7 +193,7 @@ class SensorParameter:
 
 
 def corrected(readings: Readings, sensor_parameters: Sequence[SensorParameter]) -> Readings:
-    """The readings with every sensor parameter of theirs at its expected value."""
+    """Readings corrected for the expected values of all their sensor parameters."""
     for parameter in sensor_parameters:
         if readings.name in parameter.streams and np.any(parameter.value != 0.0):
             readings = parameter.shift(readings, parameter.value)

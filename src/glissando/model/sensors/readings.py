@@ -1,9 +1,9 @@
-"""What every sensor shares: its declaration, and a batch of readings.
+"""The base class of all sensors: the declaration of a sensor, and a batch of its readings.
 
 A sensor is a dataclass of readings with a residual, about twenty lines. Subclass `Readings` with a
 `kind`, declare `rows` and `columns`, write `residual(at)`; `jacobian(at)` is optional and is
-otherwise found numerically and checked. The class alone declares what files, plans and estimators
-must know of the sensor. Every reading has its own time and arclength: sliding is the normal case.
+otherwise computed numerically and checked. The class declares all that files, plans and estimators
+need of the sensor. Every reading has its own time and arclength, so that any sensor may slide.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from glissando.model.short_repr import ShortRepr
 from glissando.model.state import State
 from glissando.model.tendons.channel import Channel
 
-_ROUNDED = 1e-3  # s by which times may not round
+_ROUNDED = 1e-3  # s, rounding of times from which they are refused
 _EACH = ("time", "arclength", "values")
-_ONE_OR_EACH = (  # fields and dimensions of one
+_ONE_OR_EACH = (  # fields given once or per reading, and dimensions of one
     *(("cov", 2), ("mount", 2), ("arclength_std", 0), ("slide_speed", 0), ("slide_way", 0)),
 )
 
 SENSORS: dict[str, type[Readings]] = {}
-"""Every sensor by its kind, in the order of definition; a class definition adds itself."""
+"""Sensor classes by kind, in the order of definition; defining a class registers it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class Readings(ShortRepr):
 
     Attributes:
         time: Times (M,), s.
-        arclength: Arclengths (M,), m, or one of a sensor that stays where it is.
+        arclength: Arclengths (M,), m, or one number for a fixed sensor.
         values: Values (M, …), SI units and radians, in the world frame where a frame matters.
         cov: A variance, `rows` variances, or a matrix (rows, rows) or (M, rows, rows).
         mount: Pose T_bc (4, 4), or (M, 4, 4), of the sensor in the cross-section's frame.
@@ -55,26 +55,26 @@ class Readings(ShortRepr):
         arclength_std: Standard deviation of the arclength, m, one or (M,) (equation 16).
         channel: The channel beside the backbone that the sensor slides in, along which its
             arclength is measured, from the base; None for a sensor on the backbone.
-        beside: Of readings placed in a channel (M, 2, N, 6): the slope of their arclength by the
-            strain at the arclength nodes, and the strain for which they were placed.
-        winding: Of such readings (M, 6): how the mount turns with the arclength, rad/m and 1, as a
-            twist in the cross-section's frame.
-        slide_speed: How fast a sliding sensor's arclength grew, m/s, one or (M,).
-        slide_way: Which way it slid last, −1 to 1, one or (M,): see `slide_motion`.
+        beside: For readings located in a channel (M, 2, N, 6): the derivative of their arclength by
+            the strain at the arclength nodes, and the strain at which they were located.
+        winding: For such readings (M, 6): derivative of the mount by arclength, a twist in the
+            cross-section's frame, [linear 1, angular rad/m].
+        slide_speed: Rate of a sliding sensor's arclength, m/s, one or (M,).
+        slide_way: Direction of its last motion, −1 to 1, one or (M,): see `slide_motion`.
         rows: Declares the residual rows of one reading, and the numbers in a file's `std`.
         columns: Declares the value columns of a CSV file and their units.
         settings: Declares the fields that a whole stream shares, lists of numbers, and their units.
-        optional_settings: Declares those of them that a recording may leave out.
+        optional_settings: Declares further such fields, which a recording may leave out.
         spans: Declares that a reading depends on the whole robot at its time: it has
             `residual_over(arclength, at)` and `jacobian_over(arclength, at)` for states (M, N) at
-            nodes and places between them in the place of `residual` and `jacobian`.
+            nodes and places between them instead of `residual` and `jacobian`.
         value_shape: Declares the shape of one reading's value; None for any.
-        per_reading: Declares the fields of one's own that have a row a reading.
+        per_reading: Declares further fields that have one row per reading.
         accelerates: Declares that it needs the state's acceleration: `residual` and `jacobian`
-            (M, rows, 24) take an `AcceleratedState`, and are zero of another.
-        mounted: Declares whether `mount` says where it sits; others have settings of their own.
-        fixes_base: Declares whether readings fix the robot in the world.
-        tracker: Declares a tracker: it may be truth, and repeated rows are one reading twice.
+            (M, rows, 24) take an `AcceleratedState`, and are zero for another state.
+        mounted: Declares whether `mount` locates the sensor; others have settings for this.
+        fixes_base: Declares whether readings determine the robot's pose in the world.
+        tracker: Declares a tracker: it may be ground truth, and equal rows are one reading.
         resolves_axes: Declares whether it resolves strain along the axes of the cross-section.
 
     Raises:
@@ -142,9 +142,9 @@ class Readings(ShortRepr):
 
     @classmethod
     def repeated(cls, values: Array, arclength: Array) -> NDArray[np.bool_]:
-        """Which readings (M,) of a tracker repeat the one before, or the one before at its place.
+        """Mask (M,) of a tracker's readings that repeat the last one, or the last at their place.
 
-        A stream may read several places at once, each of which is compared with itself.
+        A stream may read several places at once, each of which is compared separately.
         """
         columns = cls.to_columns(values)
         same = np.all(columns[1:] == columns[:-1], axis=1)
@@ -152,14 +152,14 @@ class Readings(ShortRepr):
 
     @classmethod
     def values_at(cls, pose: Array, **settings: Any) -> Array:
-        """Values (M, …) without noise of sensors at poses T_wc (M, 4, 4), for plans.
+        """Noise-free values (M, …) of sensors at poses T_wc (M, 4, 4), for planning.
 
         Args:
             pose: The poses.
             **settings: The fields that the sensor declares as its settings.
 
         Raises:
-            NotImplementedError: The sensor does not declare them and cannot be planned for.
+            NotImplementedError: The sensor does not define this and cannot be planned for.
         """
         raise NotImplementedError(f"{cls.__name__} must define values_at(pose) to be planned for.")
 
@@ -174,7 +174,7 @@ class Readings(ShortRepr):
                     f"{self.label}: {given} of row {bad[0]} is {array[bad[0]]}; drop that row."
                 )
         count = self.time.shape
-        if self.arclength.ndim == 0:  # of a sensor that stays where it is
+        if self.arclength.ndim == 0:  # of a fixed sensor
             object.__setattr__(self, "arclength", np.full(count, self.arclength))
         if not count == self.arclength.shape == self.values.shape[:1]:
             raise SensorError(
@@ -213,7 +213,7 @@ class Readings(ShortRepr):
             )
 
     def _require_digits(self) -> None:
-        """Refuse times of a type that rounds them by more than sensors are late."""
+        """Raise SensorError for times of a type that rounds them by a millisecond or more."""
         time = np.asarray(self.time)
         if time.dtype.kind == "f" and time.dtype.itemsize < 8 and time.size:
             rounded = float(np.spacing(np.abs(time).max()))
@@ -224,7 +224,7 @@ class Readings(ShortRepr):
                 )
 
     def _require_heard(self) -> None:
-        """Raise SensorError for what is stated and would change nothing, and for a loss of none."""
+        """Raise SensorError for a mount or arclength_std without effect, or an invalid loss."""
         if not self.mounted and self.beside is None and np.any(self.mount != np.eye(4)):
             raise SensorError(
                 f"{self.label}: readings of kind {self.kind} have no mount; state where they are "
@@ -247,7 +247,7 @@ class Readings(ShortRepr):
 
     @property
     def reads_one_state(self) -> bool:
-        """Whether a reading depends on nothing but the state at its own place and time."""
+        """Whether a reading depends only on the state at its own arclength and time."""
         return not (self.spans or self.accelerates)
 
     @property
@@ -257,7 +257,7 @@ class Readings(ShortRepr):
 
     @property
     def expected_shape(self) -> tuple[int, ...] | None:
-        """Shape of one reading's value; None where any will do."""
+        """Shape of one reading's value; None for any shape."""
         return self.value_shape
 
     def __len__(self) -> int:
@@ -277,7 +277,7 @@ class Readings(ShortRepr):
         return self.changed(**fields)
 
     def changed(self, **fields: Any) -> Self:
-        """The readings with other fields, which are not checked again: for checks, `replace`.
+        """Readings with other fields, which are not checked; `dataclasses.replace` checks.
 
         Raises:
             SensorError: There is no such field.
@@ -289,7 +289,7 @@ class Readings(ShortRepr):
         return out
 
     def joined(self, other: Self) -> Self:
-        """These readings, then those of the same sensor."""
+        """These readings followed by those of `other`, of the same sensor."""
         fields = {
             name: np.concatenate([getattr(self, name), getattr(other, name)])
             for name in (*_EACH, *self.per_reading)
@@ -320,13 +320,13 @@ class Readings(ShortRepr):
 
     @property
     def longest_step(self) -> float:
-        """How far apart, m, the states may be that `residual_over` takes."""
+        """Largest distance, m, between the states that `residual_over` takes."""
         return np.inf
 
     def residual_over(self, arclength: Array, at: State) -> Array:
-        """Expected minus measured (M, rows) from states (M, N) at places (N,), of what `spans`."""
+        """Expected minus measured (M, rows) from states (M, N) at places (N,), if it `spans`."""
         raise NotImplementedError(f"{type(self).__name__} must define residual_over(s, at).")
 
     def jacobian_over(self, arclength: Array, at: State) -> Array:
-        """∂residual/∂[pose, strain, velocity] of the places (M, rows, N, 18), of what `spans`."""
+        """∂residual/∂[pose, strain, velocity] at the places (M, rows, N, 18), if it `spans`."""
         raise NotImplementedError(f"{type(self).__name__} must define jacobian_over(s, at).")

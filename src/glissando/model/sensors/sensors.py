@@ -1,4 +1,4 @@
-"""The sensors: what a reading of each kind expects of the state where it was taken."""
+"""The sensors: the expected value and residual of readings of each kind at a state."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _QUATERNION = dict.fromkeys(("qw", "qx", "qy", "qz"), "1")
 
 
 def sensor_kinds() -> list[str]:
-    """Kinds of sensor by the name files use, a script's own included."""
+    """Kinds of sensor by their names in files, custom sensors included."""
     return list(SENSORS)
 
 
 def sensor_class(kind: str) -> type[Readings]:
-    """The sensor of a kind.
+    """Class of the sensors of a kind.
 
     Raises:
         SensorError: No sensor has that kind.
@@ -49,7 +49,7 @@ def _columns(block: Array, where: slice) -> Array:
 
 
 class _TrackedPose(CompiledReadings):
-    """What trackers share that report poses T_wc."""
+    """Base class of trackers that report poses T_wc."""
 
     columns: ClassVar[Mapping[str, str]] = {**_POSITION, **_QUATERNION}
     value_shape: ClassVar[tuple[int, ...] | None] = (4, 4)
@@ -68,7 +68,7 @@ class _TrackedPose(CompiledReadings):
 
     @classmethod
     def in_frame(cls, values: Array, pose: Array) -> Array:
-        """Poses seen from the world."""
+        """Poses in the world frame."""
         return pose @ values
 
     @classmethod
@@ -87,11 +87,11 @@ class PoseReadings(_TrackedPose, kind="pose"):
 
 @dataclass(frozen=True, kw_only=True)
 class CoilReadings(_TrackedPose, kind="coil"):
-    """A five-degree-of-freedom coil, roll about its z unseen: `values` (M, 4, 4) poses T_wc.
+    """A five-degree-of-freedom coil, without roll about its z: `values` (M, 4, 4) poses T_wc.
 
-    The reported roll is arbitrary: the predicted pose is turned to it before the roll row is
-    dropped, so that no roll, of the coil or of the robot about it, leaks into the other rows. Its
-    `cov` (5) should treat the coil's x and y alike. Source: equation (15).
+    The reported roll is arbitrary: the predicted pose is rotated to it before the roll row is
+    dropped, so that no roll, of the coil or of the robot about it, affects the other rows. Its
+    `cov` (5) should be the same for the coil's x and y. Source: equation (15).
     """
 
     sensor: ClassVar[int] = kernels.COIL
@@ -100,7 +100,7 @@ class CoilReadings(_TrackedPose, kind="coil"):
 
 @dataclass(frozen=True, kw_only=True)
 class PositionReadings(CompiledReadings, kind="position"):
-    """A point seen in the world: `values` (M, 3) positions in metres. Source: (17)."""
+    """Position of a point in the world: `values` (M, 3), in metres. Source: (17)."""
 
     sensor: ClassVar[int] = kernels.POSITION
     rows: ClassVar[int] = 3
@@ -111,7 +111,7 @@ class PositionReadings(CompiledReadings, kind="position"):
 
     @classmethod
     def in_frame(cls, values: Array, pose: Array) -> Array:
-        """Positions seen from the world."""
+        """Positions in the world frame."""
         return values @ pose[:3, :3].T + pose[:3, 3]
 
     @classmethod
@@ -142,12 +142,12 @@ class OrientationReadings(CompiledReadings, kind="orientation"):
 
     @classmethod
     def in_frame(cls, values: Array, pose: Array) -> Array:
-        """Rotations seen from the world."""
+        """Rotations in the world frame."""
         return pose[:3, :3] @ values
 
     @classmethod
     def repeated(cls, values: Array, arclength: Array) -> NDArray[np.bool_]:
-        """Repeats at one place: a straight robot has one orientation at many places."""
+        """Mask (M,) of repeats at one place, as a straight robot has one orientation at many."""
         return repeats_at_place(cls.to_columns(values), arclength)
 
     @classmethod
@@ -237,7 +237,7 @@ class FbgReadings(Readings, kind="fbg"):
         return (len(self.core_radius),)
 
     def _tangents(self, at: State) -> tuple[Array, Array]:
-        """Core tangents ν + u × c (M, C, 3) and places c (C, 3)."""
+        """Core tangents ν + u × c (M, C, 3) and core positions c (C, 3)."""
         angle = np.asarray(self.core_angle)
         unit = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
         place = np.asarray(self.core_radius)[:, None] * unit
@@ -248,7 +248,7 @@ class FbgReadings(Readings, kind="fbg"):
         return np.linalg.norm(self._tangents(at)[0], axis=-1) - 1.0 - self.values
 
     def jacobian(self, at: State) -> Array:
-        """Unit tangent t on ν, and c × t on u."""
+        """Jacobian (M, C, 18) with the unit tangent t by ν, and c × t by u."""
         tangents, place = self._tangents(at)
         unit = tangents / np.linalg.norm(tangents, axis=-1, keepdims=True)
         return _columns(np.concatenate([unit, np.cross(place, unit)], axis=-1), STRAIN)

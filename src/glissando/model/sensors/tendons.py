@@ -1,4 +1,4 @@
-"""Tendons as a sensor: a displacement reads the shape of the whole robot at one time."""
+"""Tendons as a sensor: displacements depend on the shape of the whole robot at one time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, STRAIN, State
 from glissando.model.tendons.channel import Channel
 
-_A_TURN = 16.0  # places of a channel that winds about the backbone
+_A_TURN = 16.0  # places for each turn of a helical channel
 _STRAIGHT = np.array([0.0, 0.0, 1.0])
 _EACH = {"radius": "m", "angle": "rad", "end": "m"}
 _MORE = {"pitch": "m", "slack": "m", "compliance": "m", "one_sided": "1"}
@@ -26,19 +26,19 @@ _MORE = {"pitch": "m", "slack": "m", "compliance": "m", "one_sided": "1"}
 class TendonReadings(Readings, kind="tendon"):
     """Displacements of T tendons: `values` (M, T), or (M, 2 T) with their tensions. Source: (M5).
 
-    A displacement, positive when pulled, is what the channel is shorter by than in the straight
-    robot, and slack, and stretch. `arclength` is where the longest tendon ends. Tensions are known;
-    without them stretch is part of the noise.
+    A displacement, positive when pulled, is the shortening of the channel from the straight robot
+    plus slack plus stretch. `arclength` is that of the end of the longest tendon. Tensions count
+    as exact; without them stretch is part of the noise.
 
     Attributes:
         radius: Distance of each channel from the backbone (T,), m.
-        angle: Its angle in the cross-section of the base (T,), rad.
-        end: Arclength where each is tied (T,), m.
+        angle: Angle of each channel in the cross-section of the base (T,), rad.
+        end: Arclength at which each tendon is attached (T,), m.
         pitch: Metres for a whole turn (T,), zero for a straight channel.
-        slack: Displacement that pulls each just taut in the straight robot (T,), m.
-        compliance: Stretch for a newton (T,), m/N; zero unless given.
-        one_sided: Whether each (T,) may go slack: it then says no more than that its channel is not
-            longer than it.
+        slack: Displacement at which each becomes taut in the straight robot (T,), m.
+        compliance: Stretch per newton (T,), m/N; zero unless given.
+        one_sided: Whether each (T,) may go slack: a reading is then only an upper bound of the
+            channel's length.
     """
 
     radius: Array
@@ -57,7 +57,7 @@ class TendonReadings(Readings, kind="tendon"):
 
     @classmethod
     def value_columns(cls, settings: Mapping[str, Array]) -> Mapping[str, str]:
-        """A displacement a tendon, and a tension where compliances are given."""
+        """One displacement a tendon, and one tension each where compliances are given."""
         count = np.size(settings["radius"])
         columns = {f"tendon_{j}": "m" for j in range(count)}
         if np.any(settings.get("compliance", 0.0)):
@@ -71,10 +71,10 @@ class TendonReadings(Readings, kind="tendon"):
 
     @property
     def expected_shape(self) -> tuple[int, ...]:
-        """A displacement a tendon, and a tension if there are compliances.
+        """One displacement a tendon, and one tension each if there are compliances.
 
         Raises:
-            SensorError: Settings differ in number.
+            SensorError: Settings differ in number, or are out of range.
         """
         count = np.size(self.radius)
         for name in (*_EACH, *_MORE):
@@ -95,7 +95,7 @@ class TendonReadings(Readings, kind="tendon"):
 
     @property
     def longest_step(self) -> float:
-        """A part of the shortest turn, m: infinite where all channels are straight."""
+        """A fraction of the shortest pitch, m; infinite if all channels are straight."""
         return float(np.abs(self.pitch[self.pitch != 0.0]).min(initial=np.inf)) / _A_TURN
 
     def residual_over(self, arclength: Array, at: State) -> Array:
@@ -143,7 +143,7 @@ class TendonReadings(Readings, kind="tendon"):
 
 
 def up_to(arclength: Array, end: float) -> Array:
-    """Weights (N,) of values at nodes (N,) whose sum is the integral of their line up to `end`."""
+    """Quadrature weights (N,) for the integral up to `end` of linear interpolation from nodes."""
     weights, steps = np.zeros(arclength.size), np.diff(arclength)
     part = np.clip((end - arclength[:-1]) / steps, 0.0, 1.0)
     weights[:-1] += steps * part * (1.0 - 0.5 * part)

@@ -1,1 +1,1 @@
-"""Tendons: the channels they run in, what they measure, and the shapes they pull a rod into."""
+"""Tendons: their channels, elasticity and friction, and the shapes of rods that they pull."""

@@ -12,11 +12,11 @@ from glissando.geometry.se3 import Array
 
 _WIDEST = 0.1  # m
 MOST_TURNED = 7.0
-"""Radians: a whole turn, and what learning may add to one. More is no direction but degrees."""
+"""Largest angle in radians: a turn and a margin for learning. Larger ones are in degrees."""
 LONGEST_PITCH = 20.0
-"""Metres a turn, beyond which a channel was given in another unit, or is straight."""
+"""Largest pitch in metres; a longer one is in another unit, or the channel is straight."""
 
-_BEYOND = 2.0 * np.pi  # radii, by which bending lengthens a channel: a whole turn
+_BEYOND = 2.0 * np.pi  # radii: change of a channel's length as the robot bends by a whole turn
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Channel:
             )
 
     def path(self, arclength: Array) -> tuple[Array, Array]:
-        """Places r (P, 3) in the cross-section at arclengths (P,), and their slopes dr/ds."""
+        """Positions r (P, 3) in the cross-section at arclengths (P,), and derivatives dr/ds."""
         rate = 2.0 * np.pi / self.pitch
         turn = self.angle + rate * np.asarray(arclength, dtype=float)
         flat = np.zeros_like(turn)
@@ -68,25 +68,25 @@ class Channel:
     def tangent(self, arclength: Array, strain: Array) -> Array:
         """Tangent ν + u × r + dr/ds (…, P, 3) in the body frame where strain is (…, P, 6).
 
-        Its length is the channel's length for a length of backbone. Source: (M5), (M8).
+        Its norm is the channel's length per length of backbone. Source: (M5), (M8).
         """
         place, slope = self.path(arclength)
         return strain[..., :3] + np.cross(strain[..., 3:], place) + slope
 
     def travels(self, length: float) -> tuple[float, float]:
-        """Least and greatest travel in it on a robot of some length (m) that bends a whole turn."""
+        """Least and greatest travel, m, on a robot of a `length`, m, bent by up to a whole turn."""
         spare = _BEYOND * self.radius
         straight = length * float(np.hypot(1.0, 2.0 * np.pi * self.radius / self.pitch))
         return -spare, straight + spare
 
     def frame(self, arclength: Array, strain: Array) -> Array:
-        """Poses (P, 4, 4) in the cross-section of frames whose z points along the channel.
+        """Poses (P, 4, 4), in the cross-section, of frames whose z points along the channel.
 
-        They are turned from the cross-section's by the least angle.
+        They are rotated from the cross-section's frame by the smallest angle.
 
         Args:
-            arclength: Where (P,), m.
-            strain: Strain (P, 6) there.
+            arclength: Arclengths (P,), m.
+            strain: Strain (P, 6) at these.
         """
         tangent = self.tangent(arclength, strain)
         tangent = tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
@@ -99,7 +99,7 @@ class Channel:
         return pose
 
     def to_table(self) -> dict[str, float]:
-        """What a recording says of it: metres and radians, a pitch of 0 for a straight channel."""
+        """Table of a recording, in metres and radians, with a pitch of 0 for a straight channel."""
         pitch = self.pitch if np.isfinite(self.pitch) else 0.0
         return {"radius": self.radius, "angle": self.angle, "pitch": pitch}
 
@@ -108,7 +108,7 @@ def ends_of(channel: Channel | None, length: float) -> tuple[float, float]:
     """Least and greatest arclength, m, of sensors on a robot: along the channel if there is one.
 
     Args:
-        channel: The channel beside the backbone that a sensor slides in, if it does.
+        channel: The channel in which the sensors slide, or None on the backbone.
         length: Length of the robot, m.
     """
     return channel.travels(length) if channel else (0.0, length)

@@ -1,6 +1,6 @@
-"""Shapes of a tendon rod in equilibrium, and how they depend on what pulls and bends it.
+"""Shapes of a tendon rod in equilibrium, and their Jacobians by tendons, moments and wrenches.
 
-Source: (M6) and (M7), the manipulator's Jacobians with what friction takes of the tensions.
+Source: (M6) and (M7), the manipulator's Jacobians with friction of the tendons.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from glissando.model.tendons.friction import wrench_by_strain
 from glissando.model.tendons.tendon_rod import TendonRod
 
 SHAPES = 100
-"""Shapes that are computed at a time, as the covariance of each takes a megabyte."""
+"""Number of shapes computed at a time, since the covariance of each takes a megabyte."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Equilibrium:
         tension: Tensions (M, T) at the base, N.
         compliance: ∂strain/∂(wrench on the section) (M, P, 6, 6) at fixed tensions.
         pull: ∂(wrench of the tendons)/∂tension (M, P, 6, T).
-        reach: ∂(length of the channel)/∂strain (M, T, P, 6) for a length of backbone.
+        reach: ∂(length of the channel)/∂strain (M, T, P, 6) per length of backbone.
         slope: ∂tension/∂stretch (M, T), N/m; zero where tensions are the inputs.
     """
 
@@ -50,28 +50,28 @@ class Equilibrium:
         return np.stack(out, axis=1)
 
     def strain_by_tension(self) -> Array:
-        """∂strain/∂tension (M, P, 6, T), tensions being the inputs."""
+        """∂strain/∂tension (M, P, 6, T), with tensions as inputs."""
         return self._rubbing(-self.compliance @ self.pull, np.zeros_like(self.slope))
 
     def strain_by_displacement(self) -> Array:
-        """∂strain/∂displacement (M, P, 6, T), displacements being the inputs."""
+        """∂strain/∂displacement (M, P, 6, T), with displacements as inputs."""
         by_stretch = self.pull_response * self.slope[:, None]
         return self._rubbing(-self.compliance @ (self.pull @ by_stretch[:, None]), self.slope)
 
     @cached_property
     def pull_response(self) -> Array:
-        """∂tension/∂(what a tendon would pull with) (M, T, T), as the rod and tendons yield."""
+        """∂tension/∂(tension at a fixed shape) (M, T, T), as rod and tendons yield."""
         m, t = self.slope.shape
         weighted = (self.rod.length[:, None] * self.reach).reshape(m, t, -1)
         give = weighted @ (self.compliance @ self.pull).reshape(m, -1, t)
         return np.asarray(np.linalg.inv(np.eye(t) + self.slope[..., None] * give))
 
     def wrench_by(self, strain_slope: Array) -> Array:
-        """Slope (M, P, 6, ·) of the rod's own wrench K (ε − ε*) from that of the strain."""
+        """Jacobian (M, P, 6, ·) of the rod's own wrench K (ε − ε*) from that of the strain."""
         return self.rod.stiffness[:, :, None] * strain_slope
 
     def pose_by(self, strain_slope: Array) -> Array:
-        """Slope (M, P+1, 6, ·) of the poses, perturbed on the right, from that of the strain.
+        """Jacobian (M, P+1, 6, ·) of the poses, perturbed on the right, from that of the strain.
 
         δ₊ = Ad(exp(−h ε)) δ + h J_r(h ε) δε over a piece of length h. Source: (M7).
         """
@@ -82,9 +82,9 @@ class Equilibrium:
         return np.stack(out, axis=1)
 
     def strain_by_moment(self) -> Array:
-        """∂strain/∂(bending moment on each piece) (M, P, 6, 2 P), displacements being the inputs.
+        """∂strain/∂(bending moment on each piece) (M, P, 6, 2 P), with displacements as inputs.
 
-        A moment bends its own piece, and through the tendons' stretch all that they pass.
+        A moment bends its own piece, and through the tendons' stretch all pieces that they pass.
         """
         m, count = self.strain.shape[:2]
         own = np.zeros((m, count, 6, 2 * count))
@@ -93,11 +93,11 @@ class Equilibrium:
         return self._rubbing(self.strain_by(own, self.slope), self.slope)
 
     def strain_by(self, wrench: Array, slope: Array) -> Array:
-        """Strains (…, M, P, 6, q) by wrenches on sections, at what friction leaves of tensions.
+        """Strains (…, M, P, 6, q) due to wrenches on sections, at constant shares of friction.
 
         Args:
             wrench: Wrenches (…, M, P, 6, q).
-            slope: Slopes (M, T) of the tendons' tensions by their stretch.
+            slope: Derivatives (M, T) of the tendons' tensions by their stretch, N/m.
         """
         free = self.compliance @ wrench
         if not slope.any():
@@ -108,9 +108,9 @@ class Equilibrium:
         return np.asarray(free - self.compliance @ (self.pull @ back[..., None, :, :]))
 
     def _rubbing(self, slope: Array, stiffness: Array) -> Array:
-        """Slopes (M, P, 6, ·) of strain with those of what friction leaves of the tensions.
+        """Jacobians (M, P, 6, ·) of strain, completed by the change of friction with strain.
 
-        With (A + F) S = B and A S₀ = B, S = (1 + A⁻¹ F)⁻¹ S₀; F is how friction goes with strain.
+        With (A + F) S = B and A S₀ = B, S = (1 + A⁻¹ F)⁻¹ S₀; F is the derivative of friction.
         """
         rod, friction = self.rod, self.rod.tendons.friction
         if not friction.any():
@@ -126,10 +126,10 @@ class Equilibrium:
         return np.asarray(rubbed.reshape(slope.shape))
 
     def responses(self) -> tuple[Array, Array]:
-        """Slopes (M, P, 6, ·) of strain by what wrenches and tensions are off by.
+        """Jacobians (M, P, 6, ·) of strain by residuals of wrenches and of tensions.
 
-        The misfit of the balance in each number of the sections' wrenches (6 P), and that of each
-        tension (T) by its stretch, friction and all.
+        The first is by each component of the residual wrenches on sections (6 P), the second by the
+        residual of each tension (T) from that of its stretch; friction is included.
         """
         m, count = self.strain.shape[:2]
         each = np.eye(6 * count).reshape(count, 6, 6 * count)
@@ -142,14 +142,14 @@ class Equilibrium:
 
     @cached_property
     def _mean_by_moment(self) -> Array:
-        """Slopes (M, P, 6, 2 P) of the strain by white bending moments of unit density."""
+        """Jacobian (M, P, 6, 2 P) of the strain by white bending moments of unit density."""
         return self.strain_by_moment() / np.sqrt(np.repeat(self.rod.length, 2))
 
     def pose_by_moment(self) -> Array:
-        """Slopes (M, P+1, 6, 4 P) of the poses by white bending moments of unit density.
+        """Jacobian (M, P+1, 6, 4 P) of the poses by white bending moments of unit density.
 
-        By their means over the pieces, and by their first moments about the middles of these, which
-        move a piece's end aside: the covariance does not depend on the pieces.
+        It is by their means over pieces, and by their first moments about the middles of pieces,
+        which displace the ends sideways: the covariance does not depend on the number of pieces.
         """
         mean, length = self._mean_by_moment, self.rod.length
         aside = np.zeros_like(mean)
@@ -159,28 +159,28 @@ class Equilibrium:
         return self.pose_by(np.concatenate([mean, aside], axis=-1))
 
     def cov(self, in_play: Array | float = 0.0) -> Array:
-        """Covariance (M, P+1, 12, 12) of poses and strains that [tendons] and [base] state.
+        """Covariance (M, P+1, 12, 12) of poses and strains by the noise in [tendons] and [base].
 
-        Displacements differ from the commands, moments are missing along the robot, and the base
-        stands about its pose. The strain of a node is that of the piece before it.
+        Uncertain are the displacements, bending moments along the robot, and the pose of the
+        base. The strain of a node is that of the piece before it.
 
         Args:
-            in_play: Standard deviations (M, T) by which displacements are off besides, m.
+            in_play: Further standard deviations (M, T) of the displacements, due to play, m.
         """
         off = np.broadcast_to(np.hypot(self.rod.tendons.std, in_play), self.tension.shape)
         every = (slice(k, k + SHAPES) for k in range(0, len(off), SHAPES))
         return np.concatenate([self._take(rows)._cov(off[rows]) for rows in every])
 
     def arrays(self) -> list[Array]:
-        """What there is of each shape, in the order of the fields."""
+        """Arrays with one row a shape, in the order of the fields."""
         return [getattr(self, field.name) for field in fields(self)[1:]]
 
     def _take(self, rows: slice) -> Equilibrium:
-        """Some of the shapes."""
+        """Equilibrium of some of the shapes."""
         return Equilibrium(self.rod.take(rows), *(array[rows] for array in self.arrays()))
 
     def _cov(self, off: Array) -> Array:
-        """That covariance, where displacements are off by standard deviations (M, T) in all."""
+        """Covariance with total standard deviations (M, T) of the displacements."""
         m, count = self.strain.shape[:2]
         root = np.sqrt(self.rod.tendons.psd_moment)
         by_pull = off[:, None, None] * self.strain_by_displacement()

@@ -1,7 +1,7 @@
-"""What friction along its channel leaves of a tendon's tension: exp(−μ Θ).
+"""Friction in a tendon's channel: the share exp(−μ Θ) of the tension remains.
 
-Θ is the angle by which the backbone bends the tendon; what a helical channel turns is left out.
-Friction acts as when the tendon is pulled, also where it is let go.
+Θ is the angle by which the backbone bends the tendon; the turn of a helical channel is left out.
+Friction is that of a tendon being pulled, also while it is released.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from glissando.geometry.se3 import Array
 
 
 def share_left(friction: Array, length: Array, strain: Array, unit: Array) -> Array:
-    """What is left (M, T, P) of each tension in the middle of each piece.
+    """Share (M, T, P) of each tension that remains in the middle of each piece.
 
     Args:
         friction: Coefficient μ of each tendon (T,).
@@ -31,17 +31,17 @@ def wrench_by_strain(
     friction: Array, length: Array, place: Array, strain: Array, unit: Array, speed: Array,
     force: Array,
 ) -> Array:  # fmt: skip
-    """Slope (M, P, 6, P, 6) of the tendons' wrench by strain, through what friction leaves.
+    """Jacobian (M, P, 6, P, 6) of the tendons' wrench by strain, through friction.
 
-    The bends of pieces before, and half its own, ease the pull on each.
+    The bending of all pieces before, and half of its own, reduces the pull on a piece.
 
     Args:
         friction: Coefficient μ of each tendon (T,).
         length: Lengths (P,) of the pieces, m.
-        place: Places of the channels in their cross-sections, m.
+        place: Positions (T, P, 3) of the channels in their cross-sections, m.
         strain: Strains (M, P, 6).
         unit: Unit tangents (M, T, P, 3) of the channels.
-        speed: Lengths (M, T, P) of the tangents.
+        speed: Norms (M, T, P) of the tangents.
         force: Wrenches (M, T, P, 6) of the tendons.
     """
     turn = strain[:, None, :, 3:]

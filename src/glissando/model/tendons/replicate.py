@@ -1,11 +1,11 @@
-"""What the numbers of a tendon robot are when learned without a part of the data.
+"""Jackknife replicates: parameters of a tendon robot learned without a part of the data.
 
-How far apart such replicates predict is what is not known of the numbers. The covariance of a
-prediction, the jackknife, is (n − 1)/n times the sum of the squares of their n deviations from that
-of all data. Source: Efron and Tibshirani 1993, chapter 11.
+The spread of their predictions is the uncertainty due to the parameters: the covariance of a
+prediction is (n − 1)/n times the sum of the squares of the n deviations from the prediction of all
+data. Source: Efron and Tibshirani 1993, chapter 11.
 
-Of what no data tell, replicates say nothing. Those that are left open are the numbers moved a
-standard deviation along what the prior alone decided, and the squares of their deviations add up.
+Replicates do not show what the data leave undetermined. For this, `left_open` has the parameters
+moved by a standard deviation along what the prior alone decided; squares of deviations add up.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.table import Table
 
 EACH = ("radius", "angle", "stiffness", "slack", "play")
-"""What a replicate has one of for each tendon."""
+"""Fields of a replicate with one number for each tendon."""
 TIP = "tip"
 """Name of the stream of the marker at the tip."""
 _SECTIONS = ("section_stiffness", "rest_strain")
@@ -28,19 +28,19 @@ _MARKER = ("frame", "mount")
 
 @dataclass(frozen=True)
 class Replicate:
-    """The numbers of T tendons and of a rod of S segments without a part of the recording.
+    """Parameters of T tendons and a rod of S segments, without a part of the recording.
 
     Attributes:
         radius: Distance of each tendon from the backbone (T,), m.
         angle: Angle in the cross-section of the base (T,), rad.
-        stiffness: Tension for a stretch (T,), N/m.
-        slack: Displacement that pulls each just taut in the straight robot (T,), m.
-        play: Displacement that is lost when a servo turns back (T,), m.
+        stiffness: Tension per stretch (T,), N/m.
+        slack: Displacement at which each becomes taut in the straight robot (T,), m.
+        play: Displacement that is lost at a reversal of a servo (T,), m.
         softness: Displacement over which a tendon becomes taut, m.
         section_stiffness: Stiffness of each segment (S, 6), as in [mechanics].
         rest_strain: Strain of each segment without loads (S, 6).
-        frame: Logarithm (6,) of where the marker's tracker stands, as of its sensor parameter.
-        mount: Logarithm (6,) of where the marker is at the tip.
+        frame: Logarithm (6,) of the frame of the marker's tracker, as of a sensor parameter.
+        mount: Logarithm (6,) of the marker's mount at the tip, as of a sensor parameter.
     """
 
     radius: Array
@@ -55,7 +55,7 @@ class Replicate:
     mount: Array
 
     def to_table(self) -> dict[str, Any]:
-        """An entry of [[tendons.replicates]], as `read_replicates` reads it."""
+        """Entry of [[tendons.replicates]], in the form that `read_replicates` reads."""
         return {
             field.name: np.asarray(getattr(self, field.name)).tolist() for field in fields(self)
         }
@@ -64,13 +64,13 @@ class Replicate:
 def read_replicates(
     tendons: Table, key: str, count: int, sections: int | None
 ) -> tuple[Replicate, ...]:
-    """The entries [[tendons.replicates]], or of another key, of a robot file.
+    """Read the entries [[tendons.replicates]], or those of another key, of a robot file.
 
     Args:
         tendons: The table [tendons].
-        key: Which of its lists of entries.
-        count: How many tendons there are.
-        sections: How many segments [mechanics] has; None where there is no such table.
+        key: Key of the list of entries.
+        count: Number of tendons.
+        sections: Number of segments of [mechanics]; None without that table.
 
     Raises:
         GlissandoError: A value is missing or impossible.

@@ -1,11 +1,11 @@
-"""The shape that tendons pull an unloaded rod into.
+"""Static shapes of a rod that is loaded by its tendons alone.
 
 Without loads from outside, the rod's own wrench balances its tendons at every cross-section,
 
     K (ε − ε*) + Σ τ_j [t_j; r_j × t_j] = 0,    t_j = (ν + u × r_j + r_j′) / |…|,
 
 and a tendon's tension follows from its stretch d_j − slack_j − (ℓ_j(straight) − ℓ_j). Strains at
-different places are tied by the tensions alone: a Newton step solves 6 numbers a piece and T
+different places are coupled by the tensions alone: a Newton step solves for 6 numbers a piece and T
 numbers a shape. Source: (M5) to (M7); Rucker and Webster 2011 without external loads.
 """
 
@@ -22,7 +22,7 @@ from glissando.model.tendons.friction import share_left
 from glissando.model.tendons.tendon_rod import TendonRod
 
 _ITERATIONS = 60
-_CLOSE = 1e-9  # of a step of all pieces together, rad and relative stretch
+_CLOSE = 1e-9  # rad and m, largest change of a piece by the last step
 _LONGEST = 0.5  # rad that a step may turn a piece by
 
 
@@ -33,13 +33,13 @@ def equilibrium(
     tension: Array | None = None,
     start: Array | None = None,
 ) -> Equilibrium:
-    """The shapes that displacements or tensions of the tendons pull the rod into.
+    """Solve for the shapes of a rod at given displacements or tensions of its tendons.
 
     Args:
         rod: The rod.
         displacement: Displacements (M, T), positive when pulled, less play, m.
-        tension: Tensions (M, T) in the place of displacements, N.
-        start: Strains (M, P, 6) to begin at.
+        tension: Tensions (M, T) instead of displacements, N.
+        start: Strains (M, P, 6) of the first iteration; those at rest unless given.
 
     Raises:
         GlissandoError: Neither or both are given, a number is missing, or a tension is negative.
@@ -59,10 +59,10 @@ def equilibrium(
 def _solved(
     rod: TendonRod, given: Array, strain: Array, first: int, *, tensions: bool
 ) -> Equilibrium:
-    """The shapes of rows from the `first` on, by Newton's method from strains (M, P, 6)."""
+    """Solve the rows from `first` on by Newton's method, beginning at strains (M, P, 6)."""
     for _ in range(_ITERATIONS):
         here, residual = _linearize(rod, strain, given, tensions)
-        step = here.strain_by(residual[..., None], here.slope)[..., 0]  # Newton's, to be taken off
+        step = here.strain_by(residual[..., None], here.slope)[..., 0]  # Newton's, to be subtracted
         turned = np.abs(step * rod.length[:, None]).max(axis=(1, 2), keepdims=True)
         strain = strain - step * np.minimum(1.0, _LONGEST / np.maximum(turned, 1e-300))
         if turned.max() < _CLOSE:
@@ -95,7 +95,7 @@ def _checked_inputs(rod: TendonRod, displacement: Array | None, tension: Array |
 def _linearize(
     rod: TendonRod, strain: Array, given: Array, tensions: bool
 ) -> tuple[Equilibrium, Array]:
-    """The balance linearised at strains (M, P, 6), and the wrenches (M, P, 6) left over."""
+    """Equilibrium linearised at strains (M, P, 6), and residual wrenches (M, P, 6)."""
     reach, unit, speed, inside = rod.reaches(strain)
     stretch = given - rod.shortening(speed) - rod.tendons.slack
     force, slope = (given, np.zeros_like(given)) if tensions else rod.tendons.tension(stretch)
@@ -108,14 +108,14 @@ def _linearize(
 
 
 def _balance(rod: TendonRod, strain: Array, pull: Array, tension: Array) -> Array:
-    """Wrench (M, P, 6) of the rod and of its tendons on each section, zero in equilibrium."""
+    """Residual wrench (M, P, 6) of rod and tendons on each section, zero in equilibrium."""
     return rod.stiffness * (strain - rod.rest) + (pull @ tension[:, None, :, None])[..., 0]
 
 
 def misfit(
     rod: TendonRod, strain: Array, tension: Array, displacement: Array
 ) -> tuple[Array, Array]:
-    """How far a rod is from balance at strains and tensions that need not be its own.
+    """Residuals of the equilibrium of a rod at any strains and tensions.
 
     Args:
         rod: The rod.
@@ -124,7 +124,7 @@ def misfit(
         displacement: Displacements (M, T), less play, m.
 
     Returns:
-        Wrenches left (M, P, 6), and the tensions (M, T) of the tendons' stretch.
+        Residual wrenches (M, P, 6), and tensions (M, T) that follow from the tendons' stretch.
     """
     reach, unit, speed, inside = rod.reaches(strain)
     left = share_left(rod.tendons.friction, rod.length, strain, unit) * inside
@@ -134,7 +134,7 @@ def misfit(
 
 
 def _hessian(rod: TendonRod, unit: Array, force: Array) -> Array:
-    """Stiffness (M, P, 6, 6) of the sections under the tendons' `force` (M, T, P) over length."""
+    """Stiffness (M, P, 6, 6) of sections with tendons; `force` (M, T, P) is tension / |tangent|."""
     out = np.zeros((unit.shape[0], unit.shape[2], 6, 6))
     out += rod.stiffness[:, :, None] * np.eye(6)
     for j, arm in enumerate(rod.levers):

@@ -1,4 +1,4 @@
-"""A rod with tendons beside it, cut into pieces of constant strain."""
+"""A rod with tendons beside it, divided into pieces of constant strain."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from glissando.model.robot import Robot
 from glissando.model.tendons.replicate import EACH, TIP, Replicate
 from glissando.model.tendons.tendons import Tendons
 
-_PIECES = 24  # for a turn of a tendon about the robot, which puts the tip right to 3e-4 of its way
+_PIECES = 24  # for each turn of a helical tendon: the tip is right to 3e-4 of its motion
 
 
 @dataclass(frozen=True)
 class TendonRod:
-    """A rod cut into P pieces of constant strain, with T tendons beside it.
+    """A rod divided into P pieces of constant strain, with T tendons beside it.
 
     Attributes:
         tendons: The tendons.
         nodes: Arclengths (P+1,) where pieces meet, m.
-        stiffness: Of each piece (P, 6).
+        stiffness: Stiffness of each piece (P, 6).
         rest: Strain of each without loads (P, 6), or (M, P, 6) if each of M shapes has its own.
         base: Pose of the base (4, 4).
-        var_base: Variance (6,) of the base's pose about that.
+        var_base: Variance (6,) of the base's pose.
     """
 
     tendons: Tendons
@@ -46,7 +46,7 @@ class TendonRod:
         return np.diff(self.nodes)
 
     def take(self, rows: slice) -> TendonRod:
-        """The rod of some of the shapes."""
+        """The rod for some of the shapes."""
         return self if self.rest.ndim < 3 else replace(self, rest=self.rest[rows])
 
     @cached_property
@@ -56,7 +56,7 @@ class TendonRod:
 
     @cached_property
     def path(self) -> tuple[Array, Array]:
-        """Places (T, P, 3) of the tendons in the middles of the pieces, and their slopes."""
+        """Positions (T, P, 3) of the tendons in the middles of the pieces, and derivatives."""
         return self.tendons.path(self.middle)
 
     @cached_property
@@ -67,7 +67,7 @@ class TendonRod:
         return np.concatenate([still, -se3.hat3(place)], -1)
 
     def reaches(self, strain: Array) -> tuple[Array, Array, Array, Array]:
-        """∂|tangent|/∂strain (M, T, P, 6), unit tangents, their lengths, and where tendons are."""
+        """∂|tangent|/∂strain (M, T, P, 6), unit tangents, norms, 1 up to tendons' ends."""
         place, slope = self.path
         tangent = strain[:, None, :, :3] + np.cross(strain[:, None, :, 3:], place) + slope
         speed = np.linalg.norm(tangent, axis=-1)
@@ -77,14 +77,14 @@ class TendonRod:
         return np.concatenate([unit, arm], axis=-1), unit, speed, inside
 
     def shortening(self, speed: Array) -> Array:
-        """How much shorter (M, T) channels of tangents so long (M, T, P) are than straight, m."""
+        """Shortening (M, T), m, from straight, of channels with tangents of norms (M, T, P)."""
         inside = self.length * (self.middle < self.tendons.end[:, None])
         straight = np.linalg.norm(STRAIGHT[:3] + self.path[1], axis=-1)
         return np.sum(inside * (straight - speed), axis=-1)
 
 
 def mechanical(robot: Robot) -> MechanicalPrior:
-    """The prior of a robot whose stiffness is known.
+    """Mechanical prior of a robot.
 
     Raises:
         GlissandoError: The robot has another prior.
@@ -102,8 +102,8 @@ def tendon_rod(robot: Robot, nodes: Array | None = None) -> TendonRod:
 
     Args:
         robot: The robot.
-        nodes: Arclengths where pieces may meet, m; the robot's nodes unless given. Segments and
-            ends of tendons are added, and as many more as helical tendons need.
+        nodes: Arclengths at which pieces meet, m; the robot's nodes unless given. Ends of segments
+            and tendons are added, and as many more as helical tendons need.
 
     Raises:
         GlissandoError: The robot has no tendons or another prior.
@@ -123,7 +123,7 @@ def tendon_rod(robot: Robot, nodes: Array | None = None) -> TendonRod:
 
 
 def replicated(robot: Robot, replicates: Iterable[Replicate]) -> Iterator[Robot]:
-    """The robots that replicates of a robot's tendons, or what is left open of them, describe."""
+    """Robots with the parameters of `replicates`, or of the entries of `left_open`."""
     prior, tendons = mechanical(robot), robot.tendons
     assert tendons is not None
     for replicate in replicates:
@@ -144,7 +144,7 @@ def replicated(robot: Robot, replicates: Iterable[Replicate]) -> Iterator[Robot]
 
 
 def replicate_of(robot: Robot) -> Replicate:
-    """The numbers of a robot with tendons as a replicate of another's."""
+    """Parameters of a robot with tendons, as a replicate of another robot's."""
     prior, tendons = mechanical(robot), robot.tendons
     assert tendons is not None
     return Replicate(
@@ -157,7 +157,7 @@ def replicate_of(robot: Robot) -> Replicate:
 
 
 def _close(nodes: Array, tendons: Tendons) -> Array:
-    """Nodes with so many between them that tendons hardly turn about the robot on a piece."""
+    """Nodes with as many added as pieces need on which helical tendons hardly turn."""
     turns = np.diff(nodes) * np.max(1.0 / np.abs(tendons.pitch))
     counts = np.maximum(1, np.ceil(_PIECES * turns - 1e-9)).astype(int)
     between = zip(nodes[:-1], nodes[1:], counts, strict=True)

@@ -1,4 +1,4 @@
-"""A robot's tendons: channels, where they end, elasticity, slack, play; [tendons] of a file.
+"""A robot's tendons: channels, ends, elasticity, slack and play; table [tendons] of a file.
 
 A tendon runs beside the backbone in a straight or helical channel from the base to its end. Its
 displacement, positive when pulled, shortens it between base and end, takes up slack, and stretches
@@ -27,10 +27,10 @@ _EACH = ("radius", "angle", "pitch", "end", "stiffness", "slack", "play", "frict
 _SHARED = {"softness": 1e-4, "std": 1e-4, "psd_moment": 1e-7}
 _OPTIONAL = {"pitch": 0.0, "slack": 0.0, "play": 0.0, "friction": 0.0}
 _OTHERS = ("replicates", "left_open")
-_ZERO = 0.05  # m, by which slack may hold where a servo's zero lies
-_TRAVEL = 10.0  # rad, times its radius: what no slack, play or error of a tendon exceeds
-_STICKING = 2.0  # of friction: beyond it, rubber on rubber
-_SOFT = 0.05  # of a tendon's stretch goes into bending: less, and units are wrong
+_ZERO = 0.05  # m, largest slack, which may include the offset of a servo's zero
+_TRAVEL = 10.0  # rad; times the radius, the largest slack, play or error of a tendon
+_STICKING = 2.0  # largest coefficient of friction
+_SOFT = 0.05  # least stiffness of tendons over that of the rod; below, a unit is wrong
 
 
 def _numbered(count: int) -> tuple[str, ...]:
@@ -44,22 +44,22 @@ class Tendons:
     Attributes:
         radius: Distance from the backbone (T,), m.
         angle: Angle in the cross-section of the base (T,), rad.
-        end: Arclength where each is tied (T,), m.
-        stiffness: Tension for a stretch (T,), N/m.
+        end: Arclength at which each is attached (T,), m.
+        stiffness: Tension per stretch (T,), N/m.
         pitch: Metres for a whole turn (T,); infinite for a straight channel.
-        slack: Displacement that pulls each just taut in the straight robot (T,), m.
-        play: Displacement that is lost when a servo turns back (T,), half of it each way, m.
+        slack: Displacement at which each becomes taut in the straight robot (T,), m.
+        play: Displacement that is lost at a reversal of the servo (T,), half to each side, m.
         friction: Coefficient of friction in the channel (T,).
         softness: Displacement over which a tendon becomes taut, m.
-        std: Standard deviation of what displacements differ from the commands by, m.
-        psd_moment: Density of bending moments that are not modelled, white along arclength, N² m³.
-        learned_to: How far each was pulled (T,) where these numbers were learned, m; infinite where
-            nobody says.
-        replicates: These numbers as learned without each part of the recording, which say how well
-            they are known; none where nobody says.
-        left_open: These numbers a standard deviation away along what that recording left to the
-            prior, such as how its tracker is turned.
-        names: Columns of the tendons in files.
+        std: Standard deviation of displacements about the commands, m.
+        psd_moment: Density of unmodelled bending moments, white along arclength, N² m³.
+        learned_to: Largest displacement of each (T,) in the data from which these parameters were
+            learned, m; infinite if unknown.
+        replicates: Parameters as learned without each part of the recording, for their
+            uncertainty; empty if unknown.
+        left_open: Parameters moved by a standard deviation along what that recording left to the
+            prior, such as a rotation of its tracker.
+        names: Column names of the tendons in files.
     """
 
     radius: Array
@@ -103,7 +103,7 @@ class Tendons:
 
     @property
     def named(self) -> bool:
-        """Whether the tendons have names of their own, which columns of files are matched by."""
+        """Whether the tendons have custom names, by which columns of files are matched."""
         return self.names != _numbered(len(self))
 
     @property
@@ -112,27 +112,27 @@ class Tendons:
         return bool(np.all(np.isinf(self.pitch)))
 
     def path(self, arclength: Array) -> tuple[Array, Array]:
-        """Places r (T, P, 3) in the cross-section at arclengths (P,), and dr/ds (T, P, 3)."""
+        """Positions r (T, P, 3) in the cross-section at arclengths (P,), and dr/ds (T, P, 3)."""
         every = zip(self.radius, self.angle, self.pitch, strict=True)
         place, slope = zip(*(Channel(*one).path(arclength) for one in every), strict=True)
         return np.stack(place), np.stack(slope)
 
     def effective(self, displacement: Array) -> Array:
-        """Displacements (M, T) in their order, less the play: what reaches the robot.
+        """Displacements (M, T) that reach the robot through the play, from commands in order.
 
-        The play operator: the robot's end follows only once the servo has taken up the play. Where
-        in its play a tendon was at first is unknown: this is the mean over all it may have been.
+        The play operator: the robot's end follows only once the servo has taken up the play. The
+        initial position within the play is unknown: this is the mean over all of them.
         """
         return self._played(displacement)[0]
 
     def std_in_play(self, displacement: Array) -> Array:
-        """Standard deviations (M, T) of those: of where in its play each tendon was at first."""
+        """Standard deviations (M, T) of `effective`, by the unknown initial position in play."""
         return self._played(displacement)[1]
 
     def _played(self, displacement: Array) -> tuple[Array, Array]:
-        """Mean and standard deviation (M, T) of what is reached from anywhere in the play.
+        """Mean and standard deviation (M, T) of `effective` over initial positions in the play.
 
-        Starts are uniform in the play; those that have been taken along all lie at an end.
+        These are uniform in the play; those that the servo has carried along lie at one end.
         """
         half = 0.5 * self.play
         if not half.any():
@@ -150,7 +150,7 @@ class Tendons:
         return mean + off, np.sqrt(np.maximum(square - off**2, 0.0))
 
     def tension(self, stretch: Array) -> tuple[Array, Array]:
-        """Tension (…, T) for a stretch (…, T), N, and its slope, N/m: zero for a slack tendon.
+        """Tension (…, T), N, at a stretch (…, T), m, and its slope, N/m: about zero if slack.
 
         A softened ramp: stiffness · softness · log(1 + exp(stretch / softness)).
         """
@@ -159,13 +159,13 @@ class Tendons:
         return tension, self.stiffness * 0.5 * (1.0 + np.tanh(0.5 * x))
 
     def settings(self) -> dict[str, Array]:
-        """What a stream of their displacements says of them, as `TendonReadings` takes it."""
+        """Settings of `TendonReadings` for a stream of displacements of these tendons."""
         pitch = np.where(np.isinf(self.pitch), 0.0, self.pitch)
         named = ("radius", "angle", "end", "slack")
         return {**{name: getattr(self, name) for name in named}, "pitch": pitch}
 
     def to_table(self) -> dict[str, Any]:
-        """What [tendons] of a robot file says, as `read_tendons` reads it."""
+        """Table [tendons] of a robot file, in the form that `read_tendons` reads."""
         table: dict[str, Any] = {"names": list(self.names)}
         for name in _EACH:
             value = getattr(self, name)
@@ -183,7 +183,7 @@ class Tendons:
 
 
 def read_tendons(robot: Table, length: float, mechanics: Mechanics | None = None) -> Tendons | None:
-    """The [tendons] of a robot file, or None where it has none.
+    """Tendons from the table [tendons] of a robot file, or None without that table.
 
     `radius`, `angle`, `end` and `stiffness` are numbers or lists with one a tendon, `pitch` too,
     where 0 is a straight channel.
@@ -191,7 +191,7 @@ def read_tendons(robot: Table, length: float, mechanics: Mechanics | None = None
     Args:
         robot: The file.
         length: Length of the robot, m.
-        mechanics: Its mechanics, where they are known.
+        mechanics: Mechanics of the robot, if known.
 
     Raises:
         GlissandoError: A value is missing, impossible, or most likely in another unit.
@@ -235,7 +235,7 @@ def read_tendons(robot: Table, length: float, mechanics: Mechanics | None = None
 
 
 def _each(table: Table, name: str, count: int) -> Array:
-    """A number for all tendons, or a list with one each."""
+    """Numbers (count,) of a key: one for all tendons, or a list."""
     if isinstance(table.peek(name), list):
         return table.vector(name, count, pairs=False)
     default = _OPTIONAL.get(name)
@@ -243,7 +243,7 @@ def _each(table: Table, name: str, count: int) -> Array:
 
 
 def _require_units(tendons: Any, fail: Callable[[str, str], Exception]) -> None:
-    """Raise what `fail` makes of a field unless tendons' numbers can be, in SI units."""
+    """Raise the error that `fail` makes for a field with implausible numbers in SI units."""
     for name in (*_EACH, *_SHARED):
         value = np.asarray(getattr(tendons, name), dtype=float)
         if np.any(np.isnan(value)) or (name != "pitch" and np.any(np.isinf(value))):
@@ -278,7 +278,7 @@ def _require_units(tendons: Any, fail: Callable[[str, str], Exception]) -> None:
 
 
 def _require_stiff(table: Table, tendons: Tendons, bending: float) -> None:
-    """Raise unless tendons bend a rod of that stiffness (N m²) and do not just stretch."""
+    """Raise if tendons would stretch rather than bend a rod of a bending stiffness, N m²."""
     ratio = tendons.stiffness * tendons.radius**2 * tendons.end / bending
     if ratio.max() < _SOFT:
         raise table.fail(

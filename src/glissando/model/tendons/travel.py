@@ -1,4 +1,4 @@
-"""Where a sensor is that slides in a channel off the axis: its travel depends on the shape."""
+"""Arclength of a sensor that slides in a channel off the axis: travel depends on the shape."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ _STEPS = 8  # parts that an interval between nodes is divided into
 
 
 def arclength_of(channel: Channel, nodes: Array, strain: Array, travel: Array) -> Array:
-    """Arclengths (…,) of the backbone beside which a sensor is after a travel (…,) from the base.
+    """Arclengths (…,) on the backbone, m, of a sensor after travels (…,) from the base.
 
     Args:
         channel: The channel.
         nodes: Arclengths (N,) where strain is known, from 0 up, m.
         strain: Strain there (N, 6), linear between.
-        travel: Travel that an encoder reports, less its zero, m.
+        travel: Travel along the channel by an encoder, less its zero, m.
 
     Raises:
         SensorError: A travel leaves the channel.
@@ -37,7 +37,7 @@ def arclength_of(channel: Channel, nodes: Array, strain: Array, travel: Array) -
 
 
 def channel_lengths(channel: Channel, nodes: Array, strain: Array) -> tuple[Array, Array, Array]:
-    """Arclengths of fine steps (F,), the channel's tangent there, and its length up to each.
+    """Finely spaced arclengths, the channel's tangents there, and its length up to each.
 
     Args:
         channel: The channel.
@@ -45,7 +45,7 @@ def channel_lengths(channel: Channel, nodes: Array, strain: Array) -> tuple[Arra
         strain: Strain there (…, N, 6), linear between.
 
     Returns:
-        Arclengths (F,), tangents (…, F, 3), whose size is dσ/ds, and lengths (…, F).
+        Arclengths (F,), tangents (…, F, 3), whose norm is dσ/ds, and lengths (…, F).
     """
     fine = np.linspace(nodes[:-1], nodes[1:], _STEPS, endpoint=False, axis=-1).ravel()
     fine = np.append(fine, nodes[-1])
@@ -57,5 +57,5 @@ def channel_lengths(channel: Channel, nodes: Array, strain: Array) -> tuple[Arra
 
 
 def hat_functions(nodes: Array, arclength: Array) -> Array:
-    """Matrix (P, N) from values at nodes (N,) to those of their line at arclengths (P,)."""
+    """Matrix (P, N) of linear interpolation from nodes (N,) to arclengths (P,)."""
     return np.stack([np.interp(arclength, nodes, row) for row in np.eye(nodes.size)], axis=-1)

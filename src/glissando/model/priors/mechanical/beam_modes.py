@@ -1,7 +1,7 @@
-"""Bending modes of a clamped rod, and how nodes of arclength represent motion in them.
+"""Bending modes of a clamped rod, and their amplitudes from states at arclength nodes.
 
 Modes are Rayleigh–Ritz approximations over polynomials s² Pₖ(s), normalised so that ∫ρA b² ds, the
-tool's mass included, is one. They are functions of arclength: one amplitude is a vector of the
+tool's mass included, is one. They are functions of arclength; an amplitude is a vector in the
 world frame. Source: equation (32).
 """
 
@@ -16,8 +16,8 @@ from numpy.polynomial.legendre import Legendre, leggauss
 from glissando.geometry.se3 import Array
 from glissando.model.mechanics import Mechanics
 
-_SPARE = 8  # polynomials beyond the modes that are asked for
-_PIECES = 12  # of the rod, besides those of its segments, to integrate over
+_SPARE = 8  # polynomials in excess of the number of modes
+_PIECES = 12  # of the rod for quadrature, besides segments and node intervals
 
 
 @dataclass(frozen=True)
@@ -26,13 +26,13 @@ class BeamModes:
 
     Attributes:
         rate: Angular frequencies ω (m,), rad/s.
-        shape: Their values (N, m) at the nodes that fit them best between the nodes, 1/√kg.
-        by_place: Weights (m, N) of positions in the amplitudes y = ∫ρA b p ds.
-        by_tangent: Weights (m, N) of tangents.
-        at_tip: Values (m,) at the tip, and slopes (m,) there.
-        load: What loads make of the amplitudes' accelerations: covariance (m, m).
-        length: Of the rod, m.
-        ritz: Weights (P, m) of polynomials in the modes.
+        shape: Nodal values (N, m) whose linear interpolation fits the modes best, 1/√kg.
+        by_place: Weights (m, N) of nodal positions in the amplitudes y = ∫ρA b p ds.
+        by_tangent: Weights (m, N) of nodal tangents in the amplitudes.
+        at_tip: Values (m,) of the modes at the tip, 1/√kg.
+        load: Covariance (m, m) of the amplitudes' accelerations due to unknown loads.
+        length: Length of the rod, m.
+        ritz: Coefficients (P, m) of the modes in the polynomials.
     """
 
     rate: Array
@@ -45,18 +45,18 @@ class BeamModes:
     ritz: Array
 
     def at(self, arclength: Array) -> tuple[Array, Array]:
-        """Values (M, m) at arclengths (M,), 1/√kg, and slopes by arclength."""
+        """Values (M, m) at arclengths (M,), 1/√kg, and derivatives by arclength."""
         value, slope, _ = _polynomials(arclength, self.length, len(self.ritz))
         return value @ self.ritz, slope @ self.ritz
 
     @property
     def fit(self) -> Array:
-        """Amplitudes (m, N) of values at the nodes."""
+        """Matrix (m, N) from nodal values to amplitudes, by least squares."""
         return np.asarray(np.linalg.pinv(self.shape), dtype=float)
 
     @property
     def remainder(self) -> Array:
-        """Directions (N − m, N) of nodal values that no mode has."""
+        """Orthonormal directions (N − m, N) of nodal values that no mode contains."""
         return scipy.linalg.null_space(self.shape.T).T
 
 
@@ -70,11 +70,11 @@ def beam_modes(
     """The lowest `count` modes on arclength nodes (N,).
 
     Args:
-        mechanics: What the rod is made of.
-        arclength: The nodes; `count` of them at least beside the base.
-        count: How many modes.
-        var_load: Density of unknown forces along the rod, N²/m, and variance of that at the tip.
-        points: Places (P,) of point loads and variances (P,) of their forces.
+        mechanics: Stiffness, mass and tool of the rod.
+        arclength: Arclength nodes, m; at least `count` of them besides the base.
+        count: Number of modes.
+        var_load: Density of unknown forces along the rod, N²/m, and variance at the tip, N².
+        points: Arclengths (P,) of point loads, m, and variances (P,) of their forces, N².
     """
     length = float(arclength[-1])
     even = np.linspace(0.0, length, _PIECES + 1)
@@ -115,7 +115,7 @@ def _quadrature(edges: Array) -> tuple[Array, Array]:
 
 
 def _polynomials(s: Array, length: float, count: int) -> tuple[Array, Array, Array]:
-    """s² Pₖ(s), first and second derivatives (M, count), clamped at zero."""
+    """s² Pₖ(s) and its first and second derivatives (M, count): clamped at s = 0."""
     clamped = Legendre([1 / 3, 1 / 2, 1 / 6])  # (1 + z)² / 4 for z from −1 to 1
     each = [clamped * Legendre.basis(k) for k in range(count)]
     z = 2.0 * s / length - 1.0
@@ -128,7 +128,7 @@ def _polynomials(s: Array, length: float, count: int) -> tuple[Array, Array, Arr
 
 
 def _nodal(arclength: Array, s: Array) -> tuple[tuple[Array, Array], Array]:
-    """Cubics by places and tangents, and hats (G, N), of the nodes at points (G,)."""
+    """Hermite cubics of nodal positions and tangents, and hat functions, at points (G, N)."""
     lower = np.clip(np.searchsorted(arclength, s, side="right") - 1, 0, arclength.size - 2)
     h, row = np.diff(arclength)[lower], np.arange(s.size)
     u = (s - arclength[lower]) / h

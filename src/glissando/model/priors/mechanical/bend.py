@@ -1,4 +1,4 @@
-"""Rods moved by a step so that poses still follow from wrenches, from the base outwards."""
+"""Steps of a rod's state after which poses still follow from the wrenches."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ def retract_strains(
     state: State,
     step: Array,
 ) -> State:
-    """The state moved by `step` (K, N, 24) interval by interval from the base outwards.
+    """State after a `step` (K, N, 24), built interval by interval from the base outwards.
 
-    The errors of intervals and of the tip move as the step says to first order, so poses and
-    wrenches stay together however long it is. The wrench at the base is what that takes.
+    The errors of intervals and of the tip change by the step to first order, so that poses and
+    wrenches stay consistent however long it is. The wrench at the base is found by shooting.
 
     Args:
-        pieces: The intervals (K,) between neighbours of the N nodes.
-        tip_error: Gives error (K, 12) and Jacobian (K, 12, 24) of tips.
-        state: Nodes (K, N).
-        step: The step.
+        pieces: Intervals (K,) between neighbours of the N arclength nodes.
+        tip_error: Function for error (K, 12) and Jacobian (K, 12, 24) of tips.
+        state: States (K, N) of the nodes.
+        step: Step (K, N, 24) of the nodes.
     """
     errors = []
     for n, piece in enumerate(pieces):
@@ -50,7 +50,7 @@ def retract_strains(
         miss = (wanted - error).reshape(len(step), 2, 6)
         try:
             correction = np.linalg.solve(by_base[:, None], miss[..., None])[..., 0]
-        except np.linalg.LinAlgError:  # so far off that the base has no say in the tip
+        except np.linalg.LinAlgError:  # so far off that the tip does not depend on the base
             break
         by_strain, by_rate = correction[:, 0], correction[:, 1]
         strain, rate = start.strain + by_strain, strain_rate_of(start) + by_rate
@@ -63,7 +63,7 @@ def retract_strains(
 def _shot(
     pieces: Sequence[Intervals], start: State, errors: Sequence[Array]
 ) -> tuple[list[State], Array]:
-    """Nodes of a rod with these `errors`, and the last one's slope (K, 12, 6) by the base's."""
+    """States of rods with given `errors`, Jacobian (K, 12, 6) of the last by the base's strain."""
     nodes = [start]
     by_base = np.zeros((len(start.strain), 12, 6))
     by_base[:, 6:] = np.eye(6)

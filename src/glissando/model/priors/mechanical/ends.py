@@ -1,4 +1,4 @@
-"""The two ends of a rod: a base whose pose is known so far, a tip where an unknown wrench acts.
+"""The ends of a rod: a base of uncertain pose, and a tip at which an unknown wrench acts.
 
 Source: equations (26) and (27).
 """
@@ -26,12 +26,12 @@ _POSE_ROWS = np.r_[0:6, 12:18]
 
 @dataclass(frozen=True)
 class RodEnds:
-    """What is believed of a rod's ends.
+    """Prior of a rod's ends.
 
     Attributes:
         rod: The rod.
-        base_pose: Where it stands (4, 4).
-        var_base: Variance (6,) of the base's pose about that.
+        base_pose: Mean pose (4, 4) of the base.
+        var_base: Variance (6,) of the base's pose.
         var_tip: Variance (6,) of the unknown wrench at the tip, N² and N² m².
     """
 
@@ -43,13 +43,13 @@ class RodEnds:
     def factors(
         self, chain: tuple[float, bool, Array], grid: Grid, state: State, node: Index
     ) -> Iterator[Factors]:
-        """Factors of the base, then of the tip, of a chain of time nodes.
+        """Factors of the base, then of the tip, over successive time nodes.
 
         Args:
-            chain: Time scale, whether it begins at the first of all times, and its steps.
-            grid: The nodes.
-            state: Those of the chain (K, N).
-            node: Their numbers (K, N).
+            chain: Time scale, whether the first time node is the first of all, time steps (K−1,).
+            grid: Grid of the nodes.
+            state: States (K, N) of the nodes.
+            node: Indices (K, N) of the nodes.
         """
         at = replace(state.take(np.s_[:, :1]), inertia=None)
         error, slope = place_error(self.base_pose, at.strain[0, 0], at)
@@ -62,7 +62,7 @@ class RodEnds:
         yield from chain_factors(*chain, node[:, -1:, None], error, slope, cov, paired=False)
 
     def static_factors(self, grid: Grid, state: State, node: Index) -> Iterator[Factors]:
-        """The same of shapes that hold still, of nodes (S, N)."""
+        """Factors of the base, then of the tip, of static shapes with nodes (S, N)."""
         at, count = state.take(np.s_[:, 0]), len(node)
         xi = se3.log(se3.inverse(self.base_pose) @ at.pose)
         jacobian = np.zeros((count, 6, 1, STATIC_DOF))
@@ -73,17 +73,17 @@ class RodEnds:
         yield Factors(node[:, -1:], _STATIC, slope[:, :6, None, _STATIC], terms)
 
     def information(self, grid: Grid, state: State) -> tuple[Array, Array]:
-        """What is known of the base's pose (6, 6), and of the tip (K, 12, 12) at nodes (K, N)."""
+        """Information (6, 6) of the base's pose, and (K, 12, 12) of the tip's pose and strain."""
         tip = self.rod.tip_error(grid, state.take(np.s_[:, -1]))[1][:, :6, _STATIC]
         return np.diag(1.0 / self.var_base), tip.mT @ (tip / self.var_tip[:, None])
 
 
 def _widened(slope: Array, dof: int) -> Array:
-    """Jacobians (…, r, 1, dof) by a node, from those by its first numbers (…, r, d)."""
+    """Jacobians (…, r, 1, dof) by a node, from those (…, r, d) by its first d components."""
     none = np.zeros((*slope.shape[:-1], dof - slope.shape[-1]))
     return np.concatenate([slope, none], axis=-1)[..., None, :]
 
 
 def _firm(variance: Array, count: int) -> Array:
-    """Whiteners (count, 6, 6) of one variance (6,)."""
+    """Square-root information (count, 6, 6) of one variance (6,)."""
     return np.broadcast_to(np.diag(variance**-0.5), (count, 6, 6))

@@ -1,9 +1,9 @@
-"""A rod from one cross-section to another: its path, how errors travel along it, and their noise.
+"""Flow of a rod from one cross-section to another: path, transition matrix and process noise.
 
-A cross-section is its pose and internal wrench W = [n; m] (body frame). The path is a Lie series
-of fourth order: strain and its first three derivatives follow from (26), Magnus' expansion turns
-them into a pose, and the wrench is carried by that pose exactly. Slopes are those of this very
-path. Everything is a batch over intervals with a leading axis M. Source: equations (26) and (27).
+The state of a cross-section is its pose and internal wrench W = [n; m] (body frame). The path is a
+Lie series of fourth order: strain and its first three derivatives follow from (26), Magnus'
+expansion gives the pose, and that pose transforms the wrench exactly. Jacobians are those of this
+series. Arrays are batches over intervals with a leading axis M. Source: equations (26) and (27).
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from glissando.geometry.se3 import Array
 
 @dataclass(frozen=True)
 class Section:
-    """What intervals (M,) are made of and what is known to act on them.
+    """Stiffness, rest strain, weight and noise densities of intervals (M,).
 
     Attributes:
-        stiffness: (M, 6), N and N m².
-        rest: Strain (M, 6) that carries no wrench, where intervals begin.
-        rest_slope: Its change per metre (M, 6).
+        stiffness: Stiffness (M, 6), N and N m².
+        rest: Strain (M, 6) without wrench where intervals begin.
+        rest_slope: Change of the rest strain per metre (M, 6).
         weight: Weight per metre (M, 3) in the world frame, N/m.
         psd: Densities (M, 12) of the noise on strain and on the wrench.
         weight_slope: Change of the weight per metre (M, 3), N/m².
@@ -38,11 +38,11 @@ class Section:
     weight_slope: Array
 
     def take(self, index: np.ndarray) -> Section:
-        """Those of the intervals."""
+        """Section of the intervals with the given indices."""
         return Section(*(field[index] for field in vars(self).values()))
 
     def ahead(self, offset: Array) -> Section:
-        """The intervals without their first `offset` (M,) metres."""
+        """Section of the intervals without their first `offset` (M,) metres."""
         along = offset[:, None]
         rest, weight = self.rest + along * self.rest_slope, self.weight + along * self.weight_slope
         return replace(self, rest=rest, weight=weight)
@@ -50,15 +50,15 @@ class Section:
 
 @dataclass(frozen=True)
 class Flow:
-    """Where an undisturbed rod arrives.
+    """End of an undisturbed rod, with its Jacobians and process noise.
 
     Attributes:
-        pose: The end (M, 4, 4) in the frame of the beginning.
+        pose: Pose (M, 4, 4) of the end in the frame of the beginning.
         wrench: Internal wrench (M, 6) at the end.
-        transition: Its slope Φ (M, 12, 12): [pose, wrench] of the end by those of the beginning.
+        transition: Jacobian Φ (M, 12, 12) of [pose, wrench] at the end by those at the beginning.
         noise: Covariance Q (M, 12, 12) of [pose, wrench] at the end.
-        by_weight: Slope (M, 12, 6) of the end by the weight where the interval begins and by the
-            weight's slope.
+        by_weight: Jacobian (M, 12, 6) of the end by the weight where the interval begins and by
+            its change per metre.
     """
 
     pose: Array
@@ -69,14 +69,14 @@ class Flow:
 
 
 def flow(rotation: Array, wrench: Array, step: Array, section: Section, *, noisy: bool) -> Flow:
-    """The rod from where intervals begin to their ends. Source: equation (27).
+    """Flow of undisturbed rods from the beginnings of intervals to their ends. Source: (27).
 
     Args:
-        rotation: Of the beginning (M, 3, 3), body to world.
+        rotation: Rotation (M, 3, 3) at the beginning, body to world.
         wrench: Internal wrench (M, 6) at the beginning, body frame.
         step: Lengths (M,), m.
-        section: What the intervals are made of.
-        noisy: Whether the covariance is asked for; zero else.
+        section: Section of the intervals.
+        noisy: Whether to compute the covariance, which else is zero.
     """
     m = len(step)
     made = section.stiffness, section.rest, section.rest_slope

@@ -1,7 +1,7 @@
-"""What ties a rod's acceleration to its motion: bending modes, exactly from time to time.
+"""Inertia of a rod: factors between acceleration and motion in terms of bending modes.
 
-A node's `inertia` [β, β̇] is the acceleration with what damping takes of it, β = p̈ + C ṗ. In
-statics it acts as weight does (`intervals.accelerated`); here it is tied to positions and
+A node's `inertia` [β, β̇] is acceleration plus damping, β = p̈ + C ṗ, and its rate. In the balance
+of the rod β acts as weight does (`Intervals.accelerated`); here it is related to positions and
 velocities. Amplitudes y of the modes obey ÿ + c ẏ = β, and D = β + ω² y varies slowly, so y and ẏ
 of the next time follow exactly from D and Ḋ at both ends. Source: equation (32).
 """
@@ -29,10 +29,10 @@ from glissando.model.priors.stationary import chain_factors
 from glissando.model.state import INERTIA, POSE, STRAIN, STRAIN_RATE, VELOCITY, State
 from glissando.model.table import Table
 
-_POINTS = 24  # to integrate over a time step
-FASTEST = 5.0  # rad a time step, of oscillation; what is faster follows loads at once
-QUICKEST = 30.0  # e-folds a time step, of decay
-PINNED = 0.1  # m/s², of what no mode has
+_POINTS = 24  # for quadrature over a time step
+FASTEST = 5.0  # rad a time step; faster oscillations follow loads without delay
+QUICKEST = 30.0  # e-folds of decay a time step
+PINNED = 0.1  # m/s², std of the acceleration that no mode contains
 _ALL = slice(0, INERTIA.stop)
 _P, _R = slice(POSE.start, POSE.start + 3), slice(POSE.start + 3, POSE.stop)
 _NU, _NU_RATE = (slice(part.start, part.start + 3) for part in (STRAIN, STRAIN_RATE))
@@ -41,13 +41,13 @@ _V, _W = slice(VELOCITY.start, VELOCITY.start + 3), slice(VELOCITY.start + 3, VE
 
 @dataclass(frozen=True)
 class Inertia:
-    """How a rod's inertia is modelled.
+    """Parameters of a rod's inertia.
 
     Attributes:
-        modes: How many bending modes move; what is faster follows loads at once.
+        modes: Number of bending modes with inertia; faster ones follow loads without delay.
         retardation: Kelvin–Voigt retardation time of the material, s.
         air_damping: Damping of the air, N s/m².
-        std_release: A force that may be let go at the tip, N: how wild motion may be.
+        std_release: Std of a force released at the tip, N, which bounds accelerations.
     """
 
     modes: int
@@ -57,7 +57,7 @@ class Inertia:
 
     @classmethod
     def from_table(cls, table: Table) -> Inertia:
-        """The inertia of a robot file's [prior.inertia]."""
+        """Inertia from the table [prior.inertia] of a robot file."""
         modes = table.number("modes", 4)
         retardation = table.number("retardation", 0.0, positive=False)
         if retardation > 1.0:
@@ -70,7 +70,7 @@ class Inertia:
         return inertia
 
     def to_table(self) -> dict[str, Any]:
-        """What a robot file says of it, as `from_table` reads it."""
+        """Table [prior.inertia], in the form that `from_table` reads."""
         return dict(vars(self))
 
     def damping(self, modes: BeamModes, mass_per_length: float) -> Array:
@@ -80,7 +80,7 @@ class Inertia:
 
 @dataclass(frozen=True)
 class ModalMotion:
-    """Modes with their damping, and loads that are remembered for `time_scale`."""
+    """Damped bending modes, driven by loads with the correlation time `time_scale`, s."""
 
     modes: BeamModes
     damping: Array
@@ -94,10 +94,10 @@ class ModalMotion:
 
         Args:
             first: Whether the first time is the first of all.
-            own: How many of the times factors begin at; the last may be that where they end.
+            own: Number of times at which factors begin; they end at the last time at most.
             time: Times, s.
-            nodes: Numbers of the nodes.
-            state: Where to linearise.
+            nodes: Indices of the nodes.
+            state: State to linearise at.
         """
         values, slopes = modal_values(self.modes, state), modal_slopes(self.modes, state)
         yield from self._bounded(first, np.diff(time), nodes, values[:, 2:], slopes[:, 2:])
@@ -109,10 +109,10 @@ class ModalMotion:
     def _bounded(
         self, first: bool, steps: Array, nodes: Index, values: Array, slopes: Array
     ) -> Iterator[Factors]:
-        """Accelerations are what a force let go makes at most, and change as modes do.
+        """Factors that bound modal accelerations by those after the release of a force.
 
-        Along the rod nothing but motion itself shows an acceleration, and at the last time nothing
-        shows how it changes.
+        Otherwise the motion alone determines accelerations, and nothing determines their rates at
+        the last time.
         """
         rate = self.modes.rate
         for j, fastest in enumerate(np.maximum(rate, rate[min(1, rate.size - 1)])):
@@ -124,7 +124,7 @@ class ModalMotion:
             yield from chain_factors(*chain, error, slope, cov, paired=False)
 
     def _pinned(self, nodes: Index, state: State) -> Factors:
-        """What of the nodes' accelerations is in no mode is next to nothing."""
+        """Factors that keep the part of nodal accelerations outside the modes close to zero."""
         rest, (count, n_count) = self.modes.remainder, nodes.shape
         rows = 6 * len(rest)
         error = np.einsum("zn,knc->kzc", rest, state.fields()[-1]).reshape(count, rows)
@@ -138,7 +138,7 @@ class ModalMotion:
         return Factors(nodes, _ALL, np.ascontiguousarray(slope), Residuals(error, firm))
 
     def _moved(self, steps: Array, nodes: Index, values: Array, slopes: Array) -> Factors:
-        """Amplitudes and their rates follow from those before and from D at both ends."""
+        """Factors of amplitudes and rates, predicted from the previous ones and D at both ends."""
         count, size = self.modes.rate.size, slopes.shape[-2:]
         steps_of_modes = [self._step(float(h)) for h in steps]
         onward, early, late, white = (np.stack(each) for each in zip(*steps_of_modes, strict=True))
@@ -158,7 +158,7 @@ class ModalMotion:
         )
 
     def _step(self, step: float) -> tuple[Array, Array, Array, Array]:
-        """Transition and both slopes by D (m, 2, 2), whitener (6 m, 6 m) of a step's error."""
+        """Transition, Jacobians by D at both ends (m, 2, 2), square-root information (6 m, 6 m)."""
         modes = self.modes
         onward, early, late, cov = _transition(
             tuple(modes.rate), tuple(self.damping), round(step, 12), self.time_scale
@@ -169,7 +169,7 @@ class ModalMotion:
 
 
 def cubic(step: float) -> tuple[Array, Array]:
-    """Coefficients (4, 4) of a load between two nodes by [D, Ḋ] of both; its derivatives at 0."""
+    """Coefficients (4, 4) of a cubic in t / step by [D, Ḋ] of both ends; its derivatives at 0."""
     coefficients = np.array(
         [[1, 0, 0, 0], [0, step, 0, 0], [-3, -2 * step, 3, -step], [2, step, -2, step]]
     )
@@ -177,9 +177,9 @@ def cubic(step: float) -> tuple[Array, Array]:
 
 
 def driven_mode(omega: float, damping: float, step: float) -> tuple[Array, Array]:
-    """Rates (2, 2) of a mode alone, and those (6, 6) over a step, driven by a cubic load.
+    """System matrix (2, 2) of a free mode, and (6, 6), times the step, of one under a cubic load.
 
-    A mode that a step does not resolve counts as the fastest that it does.
+    Frequency and damping are limited to those that a step resolves.
     """
     omega, damping = min(omega, FASTEST / step), min(damping, QUICKEST / step)
     own = np.array([[0.0, 1.0], [-(omega**2), -damping]])
@@ -193,7 +193,7 @@ def driven_mode(omega: float, damping: float, step: float) -> tuple[Array, Array
 def _transition(
     rate: tuple[float, ...], damping: tuple[float, ...], step: float, time_scale: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Of modes: transition (m, 2, 2), slopes by D and Ḋ at both ends, covariance (m, 2, m, 2).
+    """Transition of modes (m, 2, 2), Jacobians by D and Ḋ of both ends, noise (m, 2, m, 2).
 
     D is a cubic through both ends; its covariance about that is that of loads of unit variance.
     """
@@ -227,12 +227,12 @@ def bridge_covariance(step: float, time_scale: float, time: Array) -> Array:
 
 
 def _ends(maps: tuple[Array, Array, Array], square: Array, each: Array) -> tuple[Array, Array]:
-    """What is carried over steps, and what is found at their ends less what D there adds.
+    """Predictions over steps, and values at their ends less the contribution of D there.
 
     Args:
-        maps: Transition and slopes by D where steps begin and end, (K−1, m, 2, 2) each.
+        maps: Transition and Jacobians by D at both ends of steps, (K−1, m, 2, 2) each.
         square: ω² (K−1, m).
-        each: Values or slopes (K, 4, m, …) of position, velocity, β and β̇.
+        each: Values or Jacobians (K, 4, m, …) of position, velocity, β and β̇.
     """
     onward, early, late = maps
     own = square.reshape(len(square), 1, -1, *(1,) * (each.ndim - 3))
@@ -242,12 +242,12 @@ def _ends(maps: tuple[Array, Array, Array], square: Array, each: Array) -> tuple
 
 
 def _apply(maps: Array, values: Array) -> Array:
-    """Maps (K, m, 2, 2) of pairs (K, 2, m, …)."""
+    """Apply maps (K, m, 2, 2) to pairs (K, 2, m, …)."""
     return np.einsum("kmab,kbm...->kam...", maps, values)
 
 
 def modal_values(modes: BeamModes, state: State) -> Array:
-    """Amplitudes (K, 4, m, 3) of position, velocity, β and β̇ of nodes (K, N)."""
+    """Modal amplitudes (K, 4, m, 3) of position, velocity, β and β̇ of nodes (K, N)."""
     rotation, nu, omega = state.pose[..., :3, :3], state.strain[..., :3], state.velocity[..., 3:]
     tangent = se3.rotate(rotation, nu)
     turning = se3.rotate(rotation, np.cross(omega, nu) + strain_rate_of(state)[..., :3])
@@ -259,7 +259,7 @@ def modal_values(modes: BeamModes, state: State) -> Array:
 
 
 def modal_slopes(modes: BeamModes, state: State) -> Array:
-    """Slopes (K, 4, m, 3, N, 30) of `modal_values` by the nodes."""
+    """Jacobian (K, 4, m, 3, N, 30) of `modal_values` by the nodes."""
     k_count, n_count = state.strain.shape[:2]
     rotation, nu = state.pose[..., :3, :3], state.strain[..., :3]
     velocity, omega = state.velocity[..., :3], state.velocity[..., 3:]

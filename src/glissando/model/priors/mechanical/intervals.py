@@ -1,9 +1,9 @@
-"""Arclength intervals of a rod with known mechanics: their errors, points inside, and rates.
+"""Arclength intervals of a rod with known mechanics: errors, states inside, and their rates.
 
-The error of an interval says how far its end is from where an undisturbed rod arrives, r =
-[log(T̂₁⁻¹ T₁); ε₁ − ε̂₁], in poses and strains; for a known stiffness strain is the internal wrench
-in other units. A node, (M, 24), is [pose, strain, velocity, strain rate]; with inertia it goes on
-with [acceleration, its rate], (M, 30), which act as weight does. Source: (26), (27) and (32).
+The error of an interval is the deviation of its end from that of an undisturbed rod, r =
+[log(T̂₁⁻¹ T₁); ε₁ − ε̂₁], in pose and strain; at known stiffness strain and internal wrench are
+equivalent. A node has 24 components, [pose, strain, velocity, strain rate], and with inertia 30:
+[acceleration, its rate] follow, which act as weight does. Source: (26), (27) and (32).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from glissando.model.state import State
 
 @dataclass(frozen=True)
 class Intervals:
-    """What intervals (M,) and the cross-sections at their ends are made of.
+    """Lengths and mechanics of intervals (M,), and stiffness beyond their ends.
 
     Attributes:
         step: Lengths (M,), m.
@@ -44,12 +44,12 @@ class Intervals:
     mass: Array
 
     def take(self, index: np.ndarray) -> Intervals:
-        """Those of the intervals."""
+        """Intervals with the given indices."""
         others = (self.end_stiffness[index], self.end_rest[index], self.jump[index])
         return Intervals(self.step[index], self.section.take(index), *others, self.mass[index])
 
     def accelerated(self, start: State, end: State) -> Intervals:
-        """The intervals with what inertia adds to the weight between two nodes. Source: (32)."""
+        """Intervals with the inertial force between two nodes added to the weight. Source: (32)."""
         if start.inertia is None or end.inertia is None:
             return self
         early, late = (-self.mass[:, None] * at[:, :3] for at in (start.inertia, end.inertia))
@@ -58,7 +58,7 @@ class Intervals:
 
     @cached_property
     def columns(self) -> Array:
-        """What kernels take of the intervals (M, 38)."""
+        """Parameters (M, 38) of the intervals, as kernels take them."""
         made = self.section
         rods = self.step[:, None], made.stiffness, made.rest, made.rest_slope
         acting = made.weight, made.weight_slope
@@ -70,7 +70,7 @@ class Intervals:
         return self.section.stiffness * (start.strain - self.section.rest)
 
     def flow(self, start: State, *, noisy: bool) -> Flow:
-        """Where undisturbed rods arrive, in poses and strains, jumps in the noise."""
+        """Flow of undisturbed rods in pose and strain, with point loads in the noise."""
         rotation, stiffness = start.pose[:, :3, :3], self.section.stiffness
         by_wrench = flow(rotation, self.wrench(start), self.step, self.section, noisy=noisy)
         noise = by_wrench.noise
@@ -78,20 +78,20 @@ class Intervals:
         return in_strain(by_wrench, stiffness, self.end_stiffness, self.end_rest)
 
     def before(self, offset: Array) -> Intervals:
-        """The intervals up to `offset` (M,) metres."""
+        """Parts of the intervals up to `offset` (M,) metres."""
         section, rest = self.section, self.section.ahead(offset).rest
         none = np.zeros_like(self.jump)
         return Intervals(offset, section, section.stiffness, rest, none, self.mass)
 
     def beyond(self, offset: Array) -> Intervals:
-        """The intervals from `offset` (M,) metres on."""
+        """Parts of the intervals from `offset` (M,) metres on."""
         others = (self.end_stiffness, self.end_rest, self.jump, self.mass)
         return Intervals(self.step - offset, self.section.ahead(offset), *others)
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def in_strain(by_wrench: Flow, begin: Array, end: Array, rest: Array) -> Flow:
-    """A flow with strains in the place of wrenches, for stiffness (M, 6) at both ends."""
+    """Flow with strains in place of wrenches, for stiffness (M, 6) at both ends."""
     ones = np.ones_like(begin)
     into, out = np.concatenate([ones, begin], -1), np.concatenate([ones, 1.0 / end], -1)
     transition = out[:, :, None] * by_wrench.transition * into[:, None, :]
@@ -103,7 +103,7 @@ def in_strain(by_wrench: Flow, begin: Array, end: Array, rest: Array) -> Flow:
 def still_error(start: State, end: State, intervals: Intervals) -> tuple[Array, Array]:
     """Error r (M, 12) of intervals, Jacobians (M, 12, 2, 12) by pose and strain of both ends.
 
-    With inertia the Jacobians are (M, 12, 2, 15), and by the acceleration, too.
+    With inertia the Jacobians are (M, 12, 2, 15), the last three columns by the acceleration.
     """
     error, slopes = kernels.still_error(*_ends(start, end), intervals.columns, _half(start))
     return error, slopes
@@ -119,26 +119,26 @@ def interval_error(start: State, end: State, intervals: Intervals) -> tuple[Arra
 
 
 def _ends(start: State, end: State) -> tuple[Array, Array, Array, Array]:
-    """Poses and fields of both ends (M,), as kernels take them."""
+    """Poses and concatenated other fields of both ends (M,), as kernels take them."""
     fields0, fields1 = (np.concatenate(at.fields()[1:], axis=-1) for at in (start, end))
     return whole(start.pose), whole(end.pose), fields0, fields1
 
 
 def _half(at: State) -> int:
-    """How many of a node's numbers are not rates."""
+    """Number of a node's components that are not rates."""
     return 12 if at.inertia is None else 15
 
 
 def still_columns(half: int) -> Index:
-    """Which numbers of a node are pose, strain and acceleration."""
+    """Indices of a node's pose, strain and acceleration, `half` of them."""
     return np.r_[0:12, 24 : 12 + half]
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def interval_end(start: State, error: Array, intervals: Intervals) -> tuple[State, Array]:
-    """The end (M,) of intervals that have this `error` [r; ṙ] (M, 24): `interval_error` undone.
+    """State (M,) at the end of intervals with an error [r; ṙ] (M, 24): inverts `interval_error`.
 
-    Also the slope (M, 12, 12) of where they end without an error.
+    The second value is the transition matrix (M, 12, 12) of the undisturbed rods.
     """
     ahead = intervals.flow(start, noisy=False)
     xi = error[:, :6]
@@ -154,7 +154,7 @@ def interval_end(start: State, error: Array, intervals: Intervals) -> tuple[Stat
 
 
 def bridge(start: State, intervals: Intervals, offset: Array) -> tuple[Array, Array]:
-    """Gain of a point's error on that of its interval, and what it leaves, (M, 12, 12) each."""
+    """Gain from an interval's error to that of a point, and bridge covariance, (M, 12, 12)."""
     near = intervals.before(offset).flow(start, noisy=True)
     point = State(start.pose @ near.pose, near.wrench, start.velocity)
     onward = intervals.beyond(offset).flow(point, noisy=True)
@@ -175,8 +175,8 @@ def interval_between(
         start: State (M,) with strain rate where the intervals begin.
         end: State (M,) where they end.
         intervals: The intervals.
-        offset: Places (M,) inside them.
-        gain: Gains (M, 12, 12) of the point's error on that of the interval.
+        offset: Distances (M,) of the points from the beginnings, m.
+        gain: Gains (M, 12, 12) from the error of the interval to that of the point.
     """
     inside = intervals.columns, whole(offset), whole(gain), _half(start)
     pose, fields, slopes = kernels.interval_between(*_ends(start, end), *inside)

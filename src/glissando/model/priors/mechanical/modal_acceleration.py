@@ -23,7 +23,7 @@ from glissando.model.priors.mechanical.inertia import (
 )
 from glissando.model.state import State
 
-_POINTS = 12  # to integrate over
+_POINTS = 12  # for quadrature
 
 
 def modal_acceleration(
@@ -32,12 +32,12 @@ def modal_acceleration(
     """States with acceleration (M, 24) at points, all on time nodes or all between them.
 
     Args:
-        motion: Modes with their damping.
-        grid: The nodes.
-        state: Nodes (K, N).
-        at: The state at the points.
-        arclength: Where they are (M,), m.
-        time: When (M,), s.
+        motion: Damped bending modes.
+        grid: Grid of the nodes.
+        state: States (K, N) of the nodes.
+        at: Interpolated state at the points.
+        arclength: Arclengths (M,) of the points, m.
+        time: Times (M,) of the points, s.
     """
     cells = grid.locate(arclength, time)[1]
     between = bool(np.all((cells.offset > 0.0) & (cells.offset < cells.step)))
@@ -93,7 +93,7 @@ def _functional(
 ) -> tuple[Array, Array]:
     """Weights (2, m, 4) and covariance (m, m) for loads of unit variance.
 
-    ÿ = D − c ẏ − ω² y; amplitudes follow from the beginning, D is a cubic through both ends.
+    ÿ = D − c ẏ − ω² y; y and ẏ follow from the beginning, D is a cubic through both ends.
     """
     x, w = leggauss(_POINTS)
     points, weight = 0.5 * offset * (x + 1.0), 0.5 * offset * w

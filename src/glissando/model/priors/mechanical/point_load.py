@@ -15,14 +15,14 @@ from glissando.model.state import State
 
 @dataclass(frozen=True)
 class PointLoad:
-    """Wrenches (M, 6) in the body frame, what they depend on, and what is left when that is sure.
+    """Wrenches (M, 6) in the body frame, conditional on the states of nodes.
 
     Attributes:
-        mean: N and N m.
-        nodes: Nodes k·N + n (M, 2) that they follow from.
-        jacobian: Slopes (M, 6, 2, 12) by pose and strain there, or (M, 6, 2, 15) and by the
-            acceleration.
-        cov: Covariance (M, 6, 6) that the nodes leave.
+        mean: Mean (M, 6), N and N m.
+        nodes: Indices k·N + n (M, 2) of the nodes on which they depend.
+        jacobian: Jacobians (M, 6, 2, 12) by pose and strain of the nodes, or (M, 6, 2, 15) with
+            the acceleration.
+        cov: Covariance (M, 6, 6) when the nodes are known.
     """
 
     mean: Array
@@ -40,15 +40,15 @@ def point_load(
 ) -> PointLoad:
     """The unknown wrench that acts where intervals end. Source: equation (28).
 
-    It is what an interval's error says of a jump at its end, and at the tip what is carried there
-    beside the tool.
+    It is the jump at an interval's end conditional on the interval's error, and at the tip also the
+    wrench beyond the weight of the tool.
 
     Args:
         start: Nodes (M,) where the intervals begin.
         end: Nodes (M,) where they end.
         piece: The intervals.
-        nodes: Numbers (M, 2) of both nodes.
-        tip: Which ends are the tip (M,), and `tip_error` of all.
+        nodes: Indices (M, 2) of both nodes.
+        tip: Mask (M,) of the ends at the tip, and `tip_error` of all ends.
     """
     last, at_tip, slope = tip
     count = len(last)

@@ -1,9 +1,9 @@
 """The mechanical prior: a rod of known stiffness and weight under unknown loads.
 
-Loads are white noise along arclength, and where they are expected at a point a wrench of its own;
-in time they are Matérn processes, as the errors of the separable prior's intervals are. The base's
-pose is known so far, and nothing is said of its wrench: that follows from the loads. A node's
-strain is its internal wrench in other units, W = K (ε − ε*). Source: equations (26) and (27).
+Loads are white noise along arclength, and a separate wrench at each point where one is expected;
+in time they are Matérn processes, as the interval errors of the separable prior are. The base's
+pose has a Gaussian prior; its wrench has none, since it follows from the loads. Strain and internal
+wrench of a node are equivalent, W = K (ε − ε*). Source: equations (26) and (27).
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ from glissando.model.state import State
 from glissando.model.table import Table, pose_table
 
 _REACH = 0.3  # m, over which a load acts, for orders of magnitude
-_SOFT = 0.022  # m, of shear over curvature
+_SOFT = 0.022  # m, ratio of shear to curvature
 _NO_FORCE = 1e-6
 _STATIC = slice(0, STATIC_DOF)
-_ENDS = (slice(None, -1), slice(1, None))  # of intervals, along arclength nodes
+_ENDS = (slice(None, -1), slice(1, None))  # arclength nodes at which intervals begin and end
 
 
 @dataclass(frozen=True)
@@ -60,18 +60,17 @@ class MechanicalPrior(StationaryPrior):
         mechanics: Stiffness, weight and the tool at the tip.
         psd_load: Density (6,) of the load's white noise along arclength, N²/m and N² m: a piece of
             length h carries a wrench of variance h · psd_load.
-        psd_strain_error: Density (6,) of what strain differs from that of the wrench by (set,
+        psd_strain_error: Density (6,) of the deviation of strain from that of the wrench (set,
             friction), white along arclength: strain² · m.
         var_tip: Variance (6,) of the unknown wrench at the tip, N² and N² m².
-        time_scale: How long loads are remembered, s.
+        time_scale: Correlation time of the loads, s.
         var_base: Variance (6,) of the base's pose about `base_pose`.
-        base_pose: Where the robot stands (4, 4).
-        rest_strain: Strain without loads, (6,) or (S, 6) where each of the segments begins.
-        rest_slope: Its change per metre, (6,) or (S, 6).
-        points: Places (P,) where a wrench may act, m.
-        var_points: Its variances (P, 6), N² and N² m².
-        inertia: How the rod's inertia is modelled; None where motion is so slow that it does not
-            matter.
+        base_pose: Mean pose (4, 4) of the base.
+        rest_strain: Strain without loads, (6,), or (S, 6) where the segments begin.
+        rest_slope: Change of the rest strain per metre, (6,) or (S, 6).
+        points: Arclengths (P,) at which a wrench may act, m.
+        var_points: Variances (P, 6) of these wrenches, N² and N² m².
+        inertia: Parameters of the rod's inertia; None for motion so slow that it is negligible.
     """
 
     mechanics: Mechanics
@@ -105,11 +104,11 @@ class MechanicalPrior(StationaryPrior):
 
     @classmethod
     def from_table(cls, prior: Table, robot: Table) -> MechanicalPrior:
-        """The prior of a robot file, from its [prior] table and the file with [mechanics]."""
+        """Prior from the table [prior] of a robot file, and from the file with [mechanics]."""
         return cls(**read_fields(prior, robot))
 
     def to_table(self) -> dict[str, Any]:
-        """What a robot file says of this prior, as `from_table` reads it."""
+        """Tables of a robot file for this prior, in the form that `from_table` reads."""
         prior: dict[str, Any] = {"kind": self.kind, "time_scale": float(self.time_scale)}
         for name in ("psd_load", "psd_strain_error", "var_tip"):
             prior[name] = getattr(self, name).tolist()
@@ -123,12 +122,12 @@ class MechanicalPrior(StationaryPrior):
 
     @property
     def joints(self) -> Array:
-        """Where segments meet or a wrench may act (J,), m; these must be nodes of the grid."""
+        """Arclengths (J,) of ends of segments and point loads, m, which must be grid nodes."""
         return self.rod.joints
 
     @cached_property
     def rod(self) -> LoadedRod:
-        """The rod, to be cut into intervals."""
+        """The rod under loads, which is divided into intervals."""
         psd = np.concatenate([self.psd_strain_error, self.psd_load])
         return LoadedRod(self.mechanics, self.rest, psd, self.points, self.var_points)
 
@@ -143,10 +142,10 @@ class MechanicalPrior(StationaryPrior):
         return RestShape.of_segments(self.rest_strain, self.rest_slope, self.mechanics.joints)
 
     def with_soft_shear(self) -> MechanicalPrior:
-        """The prior of a rod that moments bend as they like, without forces, soft in shear.
+        """Prior for a first estimate: large moments, hardly any forces, and soft shear.
 
-        Its shapes follow the readings as a strain prior's do, and the moments follow the shapes: a
-        start in which only the forces are left to be found.
+        Its shapes follow the readings as those of a strain prior do, and the moments follow from
+        the shapes. From there only the forces remain to be found.
         """
         if self.inertia is not None:
             return self._loaded()
@@ -164,7 +163,7 @@ class MechanicalPrior(StationaryPrior):
         )
 
     def _loaded(self) -> MechanicalPrior:
-        """The prior of a rod under loads as large as inertia may be, a start for a moving one."""
+        """Prior for a first estimate of a moving rod: loads as large as inertial forces may be."""
         assert self.inertia is not None
         force = self.inertia.std_release**2
         wide = np.repeat([force, force * _REACH**2 * 1e-4], 3)
@@ -175,13 +174,13 @@ class MechanicalPrior(StationaryPrior):
         )
 
     def of_shape(self, number: int) -> MechanicalPrior:
-        """The prior of one of several static shapes, under the gravity that is its own."""
+        """Prior of one of several static shapes, with the gravity of that shape."""
         gravity = np.atleast_2d(self.mechanics.gravity)
         own = gravity[number if len(gravity) > 1 else 0]
         return replace(self, mechanics=replace(self.mechanics, gravity=own))
 
     def rest_state(self, grid: Grid) -> State:
-        """The robot on the grid under its own weight and no load, from which an estimate starts."""
+        """State of the robot under its own weight without loads, from which estimates start."""
         still, count = np.zeros((*grid.shape, 6)), len(np.atleast_2d(self.mechanics.gravity))
         if count > 1 and count != grid.time.size:
             raise OutsideGridError(
@@ -195,9 +194,9 @@ class MechanicalPrior(StationaryPrior):
         return State(pose, np.broadcast_to(strain, still.shape).copy(), still, still.copy(), *more)
 
     def retract_strains(self, grid: Grid, state: State, step: Array) -> State:
-        """The state moved by `step` (K, N, dof) interval by interval from the base outwards.
+        """State after a `step` (K, N, dof), built interval by interval from the base outwards.
 
-        With inertia it goes straight: accelerations and positions are tied in the world.
+        With inertia it is `retract`, since accelerations are tied to positions in the world frame.
         """
         if self.inertia is not None:
             return state.retract(step)
@@ -213,8 +212,8 @@ class MechanicalPrior(StationaryPrior):
     ) -> Iterator[Factors]:
         """Factors that begin at the time nodes `times`, linearised at `state`.
 
-        Of the base, the tip and every interval, at the first time and from each of `times` to the
-        next.
+        They are of the base, the tip and every interval, at the first time and from each of
+        `times` to the next.
         """
         k_count, n_count = grid.shape
         self.require_digits(grid)
@@ -243,7 +242,7 @@ class MechanicalPrior(StationaryPrior):
         )
 
     def _motion(self, arclength: Array) -> ModalMotion:
-        """How the rod's modes move on arclength nodes (N,)."""
+        """Modal motion of the rod on arclength nodes (N,)."""
         inertia, mechanics = self.inertia, self.mechanics
         assert inertia is not None
         if arclength.size <= inertia.modes:
@@ -258,7 +257,7 @@ class MechanicalPrior(StationaryPrior):
         return ModalMotion(modes, damping, inertia.std_release**2, self.time_scale)
 
     def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
-        """Factors of shapes that hold still, linearised at nodes (S, N) of pose and strain."""
+        """Factors of static shapes, linearised at pose and strain of nodes (S, N)."""
         state = replace(state, inertia=None)
         count, n_count = grid.shape
         node = np.arange(count * n_count).reshape(count, n_count)
@@ -275,7 +274,7 @@ class MechanicalPrior(StationaryPrior):
     def acceleration(
         self, grid: Grid, state: State, at: Interpolation, arclength: Array, time: Array
     ) -> Interpolation | None:
-        """States with acceleration at points, if inertia is modelled. Source: equation (33)."""
+        """States with acceleration at points, or None without inertia. Source: equation (33)."""
         if self.inertia is None:
             return None
         motion = self._motion(grid.arclength)
@@ -291,7 +290,7 @@ class MechanicalPrior(StationaryPrior):
     def between(
         self, grid: Grid, start: State, end: State, k: Index, s: Cells, gain: Array
     ) -> tuple[State, Array]:
-        """State (M,) inside the intervals `s` at time nodes k, Jacobian (M, 24, 2, dof) by both."""
+        """State (M,) inside intervals `s` at times k, and Jacobian (M, 24, 2, dof) by both ends."""
         return interval_between(start, end, self.rod.pick(grid, k, s.lower), s.offset, gain)
 
     def sections(
@@ -306,7 +305,7 @@ class MechanicalPrior(StationaryPrior):
         return LinearizedRods(self.rod, self.ends)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What goes to other processes: all but what is kept of an estimate."""
+        """Fields that are sent to other processes, without the cached linearisation."""
         return {name: value for name, value in vars(self).items() if name != "_rods"}
 
     def point_load(self, grid: Grid, state: State, k: Index, n: Index) -> PointLoad:

@@ -1,4 +1,4 @@
-"""The rod of a mechanical prior, cut into intervals: what it is made of and what may act on it."""
+"""The rod of a mechanical prior under its loads, divided into intervals."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class LoadedRod:
 
     Attributes:
         mechanics: Stiffness, weight and the tool at the tip.
-        rest: Its shape without loads.
-        psd: Densities (12,) along arclength of errors of strain and of loads.
-        points: Places (P,) where a wrench may act, m.
-        var_points: Its variances (P, 6), N² and N² m².
+        rest: Shape without loads.
+        psd: Densities (12,) along arclength of strain errors and of loads.
+        points: Arclengths (P,) at which a wrench may act, m.
+        var_points: Variances (P, 6) of these wrenches, N² and N² m².
     """
 
     mechanics: Mechanics
@@ -38,15 +38,15 @@ class LoadedRod:
 
     @property
     def joints(self) -> Array:
-        """Where segments meet or a wrench may act (J,), m."""
+        """Arclengths (J,) at which segments meet or a wrench may act, m."""
         return np.union1d(self.mechanics.joints, self.points)
 
     def wrench(self, strain: Array, arclength: Array) -> tuple[Array, Array]:
-        """Internal wrench (…, 6) where strain is (…, 6), and the stiffness (…, 6) that makes it.
+        """Internal wrench (…, 6) at a strain (…, 6), and the stiffness (…, 6) there.
 
         Args:
             strain: Strain, body frame.
-            arclength: Where (…), m; at a joint or a point load just beyond it.
+            arclength: Arclengths (…), m; at a joint or a point load, just beyond it.
         """
         s = np.asarray(arclength, dtype=float)
         stiffness = self.mechanics.stiffness[self.mechanics.segment(s)]
@@ -55,11 +55,11 @@ class LoadedRod:
 
     @cached_property
     def _last(self) -> dict[bytes, Intervals]:
-        """The intervals that were asked for last, by their nodes: an update asks many times."""
+        """Cache of the last intervals by their nodes, since an update uses them repeatedly."""
         return {}
 
     def intervals(self, arclength: Array) -> Intervals:
-        """The intervals (N−1,) between nodes (N,) of arclength, not to be written to.
+        """Intervals (N−1,) between arclength nodes (N,), cached, so not to be changed.
 
         Raises:
             OutsideGridError: A segment begins or a wrench acts between nodes.
@@ -96,14 +96,14 @@ class LoadedRod:
         return Intervals(np.diff(arclength), section, beyond, rest.at(end), jump, mass)
 
     def tiled(self, grid: Grid, count: int) -> Intervals:
-        """The intervals of the grid, `count` times over (count · (N−1),)."""
+        """Intervals of the grid, repeated for `count` times or shapes (count · (N−1),)."""
         pieces = grid.arclength.size - 1
         return self.pick(
             grid, np.repeat(np.arange(count), pieces), np.tile(np.arange(pieces), count)
         )
 
     def pick(self, grid: Grid, k: Index, n: Index) -> Intervals:
-        """The intervals n (M,) of the grid at its times k (M,)."""
+        """Intervals n (M,) of the grid at time nodes or static shapes k (M,)."""
         intervals, gravity = self.intervals(grid.arclength).take(n), self.mechanics.gravity
         if gravity.ndim == 1:
             return intervals
@@ -119,9 +119,9 @@ class LoadedRod:
         )
 
     def tip_error(self, grid: Grid, at: State, shape: Index | None = None) -> tuple[Array, Array]:
-        """Error of the tip's wrench (…, 12) and its Jacobian (…, 12, 24), see `tip_error`.
+        """Error of the tip's wrench (…, 12) and its Jacobian (…, 12, dof), see `tip_error`.
 
-        `shape` (M,) says of which static shapes the cross-sections are; of all in turn if absent.
+        `shape` (M,) are the static shapes to which the tips belong; all in order if absent.
         """
         mechanics = self.mechanics
         if shape is not None and mechanics.gravity.ndim == 2:

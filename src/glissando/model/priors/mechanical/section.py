@@ -1,4 +1,4 @@
-"""A rod before any reading: how it hangs under its weight, and how sure its cross-sections are."""
+"""A rod before any reading: equilibrium under its weight, and covariances of cross-sections."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from glissando.model.priors.transitions import symmetrize
 from glissando.model.state import State
 
 _ITERATIONS = 50
-_CLOSE = 1e-9  # of the wrench that the unbent rod leaves at the tip
-_SHARES = (1.0, 0.25, 0.5, 0.75, 0.9, 1.0)  # of the weight, added by steps where all fails at once
+_CLOSE = 1e-9  # of the wrench beyond the tip at the beginning of the iteration
+_SHARES = (1.0, 0.25, 0.5, 0.75, 0.9, 1.0)  # of the weight, in steps where the whole at once fails
 _WEIGHTS = ("weight", "weight_slope")
 
 
 def hanging_rod(mechanics: Mechanics, every: Intervals, base: Array) -> tuple[Array, Array]:
-    """Poses (S, N, 4, 4) and strains (S, N, 6) of rods that bear their weight and their tool.
+    """Poses (S, N, 4, 4) and strains (S, N, 6) of rods in equilibrium with weight and tool.
 
-    Newton's method finds the wrench at the base for which nothing is left beyond the tip.
+    Newton's method finds the wrench at the base for which the wrench beyond the tip vanishes.
 
     Args:
         mechanics: The tool, and gravity (3,) or (S, 3).
@@ -38,7 +38,7 @@ def hanging_rod(mechanics: Mechanics, every: Intervals, base: Array) -> tuple[Ar
         base: Poses (S, 4, 4) of their bases.
 
     Raises:
-        GlissandoError: No such shape is found: the rod is too soft for its weight.
+        GlissandoError: No equilibrium is found: the rod is too soft for its weight.
     """
     wrench = np.zeros((len(base), 6))
     for share in _SHARES:
@@ -57,7 +57,7 @@ def hanging_rod(mechanics: Mechanics, every: Intervals, base: Array) -> tuple[Ar
 def _hanging(
     mechanics: Mechanics, every: Intervals, base: Array, wrench: Array
 ) -> tuple[tuple[Array, Array], Array, bool]:
-    """Poses and strains, wrenches (S, 6) of bases, and whether they balance, from others."""
+    """Poses and strains, base wrenches (S, 6) and whether they converged, from a first guess."""
     share = np.ones((len(base), 1))
     pose, strain, left, slope = _shoot(mechanics, every, base, wrench)
     miss = np.abs(left).max(axis=1)
@@ -79,14 +79,14 @@ def _hanging(
 
 
 def _where(which: NDArray[np.bool_], one: Array, other: Array) -> Array:
-    """Rows of `one` where `which` (S,) says so, else of the other."""
+    """Rows of `one` where the mask `which` (S,) is set, else of `other`."""
     return np.where(which.reshape(-1, *(1,) * (one.ndim - 1)), one, other)
 
 
 def _shoot(
     mechanics: Mechanics, every: Intervals, base: Array, wrench: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Poses and strains along rods, wrenches (S, 6) left beyond the tip, slopes by the bases'."""
+    """Poses and strains along rods, wrenches (S, 6) beyond the tip, Jacobians by the bases'."""
     count = len(base)
     pieces = len(every.step) // count
     first = np.arange(count) * pieces
@@ -110,11 +110,11 @@ def _shoot(
 
 @dataclass(frozen=True)
 class LinearizedRod:
-    """A rod at nodes (K, N), of which is computed once what many ask for.
+    """A rod linearised at nodes (K, N); flow and information are computed once.
 
     Attributes:
         arclength: The arclength nodes (N,), m.
-        state: The nodes.
+        state: States (K, N) of the nodes.
         every: Intervals (K · (N−1),) between them.
         ends: Information (6, 6) of the base's pose and (K, 12, 12) of the tip's pose and strain.
     """
@@ -126,7 +126,7 @@ class LinearizedRod:
 
     @cached_property
     def flow(self) -> Flow:
-        """Where undisturbed rods arrive from the nodes, with the noise on the way."""
+        """Flow of undisturbed rods from the nodes, with process noise."""
         return self.every.flow(self.state.take(np.s_[:, :-1]).flatten(), noisy=True)
 
     @cached_property
@@ -136,7 +136,7 @@ class LinearizedRod:
 
     @cached_property
     def information(self) -> tuple[Array, Array]:
-        """What base and tip say of all nodes, carried outwards and inwards, (K, N, 12, 12)."""
+        """Information (K, N, 12, 12) from the base, carried outwards, and from the tip, inwards."""
         base, onward = np.zeros((12, 12)), self.flow.transition.reshape(self.noise.shape)
         base[:6, :6] = self.ends[0]
         outwards, inwards = kernels.along_chain(
@@ -147,12 +147,12 @@ class LinearizedRod:
     def covariances(self, k: Index, n: Index, offset: Array | None) -> Array:
         """Prior covariance (M, 12, 12) of pose and strain of cross-sections.
 
-        What the base says of them and what the tip says add.
+        The information from the base and that from the tip add up.
 
         Args:
-            k: Times (M,).
-            n: Nodes (M,), or those where the intervals of the cross-sections begin.
-            offset: Places (M,) of the cross-sections beyond those nodes.
+            k: Time nodes (M,).
+            n: Arclength nodes (M,) at the cross-sections, or at the beginnings of their intervals.
+            offset: Distances (M,) of the cross-sections beyond these nodes, m; None if on them.
         """
         outwards, inwards = self.information
         if offset is None:
@@ -167,24 +167,24 @@ class LinearizedRod:
 
 
 class LinearizedRods:
-    """Linearises a rod with its ends; the last is kept for those who ask for the same nodes."""
+    """Linearisations of a rod with its ends; the last one is cached for the same nodes."""
 
     def __init__(self, rod: LoadedRod, ends: RodEnds) -> None:
         self._rod, self._ends = rod, ends
         self._last: LinearizedRod | None = None
 
     def at(self, grid: Grid, state: State) -> LinearizedRod:
-        """The rod at nodes (K, N), which is kept."""
+        """Linearised rod at nodes (K, N), which is cached."""
         self._last = self._known(grid, state) or self._linearized(grid, state)
         return self._last
 
     def covariances(
         self, grid: Grid, state: State, k: Index, n: Index, offset: Array | None
     ) -> Array:
-        """Prior covariance (M, 12, 12) of pose and strain at time nodes k, on n or beyond it."""
+        """Prior covariance (M, 12, 12) of pose and strain at time nodes k, on n or beyond."""
         rod = self._known(grid, state)
         times, which = np.unique(k, return_inverse=True)
-        if rod is None and 2 * times.size < len(state.strain):  # few of many moments
+        if rod is None and 2 * times.size < len(state.strain):  # few of many time nodes
             rod, k = self._linearized(grid, state.take(times)), which
         return (rod or self.at(grid, state)).covariances(k, n, offset)
 
@@ -216,10 +216,10 @@ def _blurred(information: Array, noise: Array) -> Array:
 
 
 def _inverse(information: Array) -> Array:
-    """Covariance (M, 12, 12), by numbers of one size.
+    """Covariance (M, 12, 12), inverted after scaling to a unit diagonal.
 
-    Of rods so wound up that rounding leaves no information it is no number, and the solver takes a
-    shorter step.
+    For rods so wound up that rounding leaves no information it is not a number, and the solver
+    takes a shorter step.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = 1.0 / np.sqrt(np.einsum("mii->mi", information))

@@ -1,4 +1,4 @@
-"""What a robot file says of a mechanical prior."""
+"""The mechanical prior from the tables of a robot file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from glissando.model.table import Table
 
 
 def read_fields(prior: Table, robot: Table) -> dict[str, Any]:
-    """Fields of the prior of a robot file, from its [prior] table and the file with [mechanics]."""
+    """Fields of the prior, from the [prior] table of a robot file and the file with [mechanics]."""
     mechanics = read_mechanics(robot)
     if mechanics is None:
         raise robot.fail("[mechanics]", "is missing; a mechanical prior needs this table.")
@@ -35,7 +35,7 @@ def read_fields(prior: Table, robot: Table) -> dict[str, Any]:
 
 
 def _inertia(prior: Table, mechanics: Mechanics) -> Inertia | None:
-    """The [prior.inertia] of a robot file, if it has one."""
+    """Inertia from the table [prior.inertia], or None without it."""
     table = prior.table("inertia")
     if table is None:
         return None

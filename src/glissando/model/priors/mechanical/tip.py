@@ -1,4 +1,4 @@
-"""What the tip of a rod carries beside its tool, and how that changes."""
+"""The wrench at the tip of a rod beyond its tool's weight, and its rate."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ def tip_error(mechanics: Mechanics, rest: Array, at: State) -> tuple[Array, Arra
     """Wrench at the tip less its tool's weight, and its rate (…, 12); Jacobian (…, 12, 24).
 
     Args:
-        mechanics: What the rod and its tool are made of.
-        rest: The tip's strain (6,) without loads.
-        at: The tip (…), with strain rate or at rest.
+        mechanics: Mechanics of the rod and its tool.
+        rest: Strain (6,) of the tip without loads.
+        at: State (…) of the tip; without a strain rate that is zero.
     """
     lead = at.strain.shape[:-1]
     rate = np.zeros_like(at.strain) if at.strain_rate is None else at.strain_rate
@@ -39,9 +39,9 @@ def tip_error(mechanics: Mechanics, rest: Array, at: State) -> tuple[Array, Arra
 def with_tool_inertia(
     mechanics: Mechanics, at: State, error: Array, jacobian: Array
 ) -> tuple[Array, Array]:
-    """Error and Jacobian (…, 12, 30) of a tip whose tool resists acceleration. Source: (32).
+    """Error and Jacobian (…, 12, 30) of a tip with the inertial force of its tool. Source: (32).
 
-    The tool counts as a point where the tip is.
+    The tool counts as a point mass at the tip.
     """
     assert at.inertia is not None
     back = np.swapaxes(at.pose[..., :3, :3], -1, -2)
