@@ -21,11 +21,11 @@ def items(values: Array | float, lead: tuple[int, ...], *own: int) -> Array:
 
 
 def whole(array: NDArray[Any]) -> NDArray[Any]:
-    """The array, or a copy that is contiguous and writable: what kernels are compiled for."""
+    """The array itself if it is contiguous and writable, as kernels require, else a copy."""
     array = np.ascontiguousarray(array)
     return array if array.flags.writeable else array.copy()
 
 
 def unflatten(lead: tuple[int, ...], *lists: Array) -> tuple[Array, ...]:
-    """Lists (M, …) with the leading shape that `items` flattened."""
+    """Restore the leading shape of lists (M, …) that `items` flattened."""
     return tuple(each.reshape(*lead, *each.shape[1:]) for each in lists)

@@ -1,4 +1,4 @@
-"""Products of parts of matrices by BLAS, without copies; triangles cost what they hold."""
+"""Products of matrix views by BLAS without copies; zeros of triangles are skipped."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _TILE = 16  # rows and columns that are copied together
 _SCALARS = np.array([-1.0, 0.0, 1.0])
 
 _gemm: Any = External(
-    "numba_xxgemm",  # numba's door to BLAS: it takes pointers and leading dimensions
+    "numba_xxgemm",  # numba's interface to BLAS, by pointers and leading dimensions
     "intc(char, char, char, intp, intp, intp, CPointer(f8), CPointer(f8), intp, CPointer(f8),"
     " intp, CPointer(f8), CPointer(f8), intp)",
 )
@@ -21,9 +21,9 @@ _gemm: Any = External(
 
 @jit()
 def product(a, b, out, scale, keep, turn_a, turn_b):
-    """Out = scale · a b + keep · out, a or b transposed; the rows of each are contiguous.
+    """Out = scale · a b + keep · out, with a or b transposed if `turn_a` or `turn_b`.
 
-    Scale and keep are −1, 0 or 1: BLAS takes their addresses.
+    Rows are contiguous. Scale and keep are −1, 0 or 1, since BLAS takes their addresses.
     """
     inner = a.shape[0] if turn_a else a.shape[1]
     if out.size and inner:
@@ -37,7 +37,7 @@ def product(a, b, out, scale, keep, turn_a, turn_b):
 
 @jit()
 def lower_product(a, b, out, scale, keep, turn_a, turn_b):
-    """The lower triangle, and a little more, of what `product` gives."""
+    """Compute the lower triangle, and a little more, of the result of `product`."""
     n = len(out)
     for j in range(0, n, _BAND):
         e = min(j + _BAND, n)
@@ -48,7 +48,7 @@ def lower_product(a, b, out, scale, keep, turn_a, turn_b):
 
 @jit()
 def copy_into(given, out):
-    """What `out[:] = given` says, without the words of an error that takes seconds to compile."""
+    """Copy a matrix: `out[:] = given` has an error message that takes seconds to compile."""
     for i in range(given.shape[0]):
         for j in range(given.shape[1]):
             out[i, j] = given[i, j]
@@ -56,9 +56,9 @@ def copy_into(given, out):
 
 @jit()
 def take_square(a, first, out):
-    """The lower triangle, and a little more, of out − aᵀ a; rows of a before `first` are zeros.
+    """Subtract aᵀ a from the lower triangle of `out`, and from a little more.
 
-    `first` (n,) is of each column.
+    In column j of a, the rows before first[j] are zeros.
     """
     n = len(out)
     for j in range(0, n, _BAND):
@@ -69,7 +69,7 @@ def take_square(a, first, out):
 
 @jit()
 def mirrored_into(lower, out):
-    """A symmetric matrix from its lower triangle, tile by tile, as memory is read by rows."""
+    """Write a symmetric matrix from its lower triangle, by tiles for local memory access."""
     n = len(out)
     for i in range(0, n, _TILE):
         for j in range(0, i + 1, _TILE):
@@ -80,7 +80,7 @@ def mirrored_into(lower, out):
 
 @jit()
 def triangle_square(root, out):
-    """The lower triangle, and a little more, of rootᵀ root for a lower triangular root."""
+    """Compute the lower triangle, and a little more, of rootᵀ root for a lower triangular root."""
     n = len(out)
     for j in range(0, n, _BAND):
         e = min(j + _BAND, n)
@@ -89,7 +89,7 @@ def triangle_square(root, out):
 
 @jit()
 def turned_product(b, root, out):
-    """Bᵀ root for a lower triangular root, and a b whose columns begin with zeros further down."""
+    """Bᵀ root for a lower triangular root; leading zeros of the columns of b are skipped."""
     n = len(out)
     for j in range(0, n, _BAND):
         e = min(j + _BAND, n)
@@ -101,7 +101,7 @@ def turned_product(b, root, out):
 
 @jit()
 def _first_row(b, begin, end):
-    """The first row that holds a number in some columns; the last where none does."""
+    """First row with a non-zero in columns `begin` to `end`; the last row if there is none."""
     for i in range(len(b)):
         for j in range(begin, end):
             if b[i, j] != 0.0:
@@ -111,7 +111,7 @@ def _first_row(b, begin, end):
 
 @jit()
 def right_product(b, root, out, turned):
-    """B root for a lower triangular root; b rootᵀ if turned."""
+    """B root for a lower triangular root, or b rootᵀ if `turned`."""
     n = len(root)
     for j in range(0, n, _BAND):
         e = min(j + _BAND, n)
@@ -132,7 +132,7 @@ def left_product(root, b, out, scale):
 
 @jit()
 def _first_and_last(row):
-    """Columns from which and before which a row holds numbers; n and 0 where it holds none."""
+    """First non-zero column of a row and the end of its non-zeros; (n, 0) if all are zero."""
     first, last = 0, len(row)
     while first < last and row[first] == 0.0:
         first += 1
@@ -143,10 +143,10 @@ def _first_and_last(row):
 
 @jit()
 def banded_product(root, b, out, first):
-    """Root bᵀ for a lower triangular root and a b whose rows hold few numbers, close together.
+    """Root bᵀ for a lower triangular root and a b whose rows have a narrow band of non-zeros.
 
-    Rows that hold numbers of the same columns are multiplied together. Rows of `out` before
-    `first` (n,) of a column are zeros.
+    Rows with overlapping bands are multiplied together. In column j of `out`, the rows before
+    first[j] are zeros, which is written to `first` (n,).
     """
     n, j = len(root), 0
     low, high = _first_and_last(b[0])

@@ -23,9 +23,9 @@ _PIVOT_FLOOR = 1e-13  # a pivot this small against its diagonal entry carries no
 
 @jit()
 def inverse_factor(a, out):
-    """L⁻¹ of a symmetric matrix L Lᵀ, into `out`: by halves, whose products run at full speed.
+    """Inverse Cholesky factor L⁻¹ of a = L Lᵀ, into `out`, by halves with products of BLAS.
 
-    Only the lower triangle of `a` is read, and its memory is used. Returns whether there is one.
+    Only its lower triangle is read; `a` is overwritten. Returns whether it is positive definite.
     """
     n = len(a)
     if n <= SMALL:
@@ -47,21 +47,21 @@ def inverse_factor(a, out):
 
 @jit()
 def has_information(inverse, scale):
-    """Whether the pivots of a slab's inverse factor are more than rounding of its diagonal (D,)."""
+    """Whether all pivots of a slab exceed the rounding error of its diagonal `scale` (D,)."""
     least = np.inf
     for i in range(len(scale)):
         pivot = 1.0 / (inverse[i, i] * inverse[i, i]) - _PIVOT_FLOOR * scale[i]
-        least = pivot if not pivot >= least else least  # or is not a number
+        least = pivot if not pivot >= least else least  # also if it is NaN
     return least >= 0.0
 
 
 @jit("(f8[:,:,::1], f8[:,:,::1], i8, f8[:,:,::1], f8[:,:,::1])")
 def factor(diagonal, lower, start, inverse, coupling):
-    """Block Cholesky from slab `start` on, as far as the matrix is positive definite.
+    """Block Cholesky factorisation from slab `start` on, while the matrix is positive definite.
 
-    `inverse` (K, D, D) of the factor's diagonal blocks and `coupling` (K−1, D, D) = inverse[k]
-    A[k, k+1] are written; those before `start` are used as they are. Returns the first slab with a
-    direction that has no information, −1 where there is none.
+    The inverses of the factor's diagonal blocks, `inverse` (K, D, D), and `coupling` (K−1, D, D) =
+    inverse[k] A[k, k+1] are written; those before `start` are used as they are. Returns the first
+    slab with a direction without information, −1 if there is none.
     """
     d, vanished = diagonal.shape[1], -1
     schur, scale, first = np.empty((d, d)), np.empty(d), np.zeros(d, np.int64)
@@ -83,7 +83,7 @@ def factor(diagonal, lower, start, inverse, coupling):
 
 @jit()
 def subtract_coupling(coupling, before, y):
-    """Take off a slab what couples it (D, D) to the solution of the slab before it: y −= Cᵀ x."""
+    """Subtract the coupling C (D, D) to the solution of the slab before: y −= Cᵀ x."""
     for j in range(len(y)):
         row, value = coupling[j], before[j]
         for i in range(len(y)):
@@ -92,7 +92,7 @@ def subtract_coupling(coupling, before, y):
 
 @jit()
 def less_coupling(coupling, later, y):
-    """Take off a slab what couples it to the solution of the next: y −= C x."""
+    """Subtract the coupling C (D, D) to the solution of the next slab: y −= C x."""
     for i in range(len(y)):
         row, value = coupling[i], 0.0
         for j in range(len(y)):
@@ -102,7 +102,7 @@ def less_coupling(coupling, later, y):
 
 @jit()
 def forward_slab(inverse, y):
-    """Multiply a slab by the inverse of a lower triangle, in place."""
+    """Multiply the vector of a slab by a lower triangular `inverse`, in place."""
     for i in range(len(y) - 1, -1, -1):
         row, value = inverse[i], 0.0
         for j in range(i + 1):
@@ -112,7 +112,7 @@ def forward_slab(inverse, y):
 
 @jit()
 def backward_slab(inverse, y):
-    """Multiply a slab by the transpose of that inverse, in place."""
+    """Multiply the vector of a slab by the transpose of `inverse`, in place."""
     for j in range(len(y)):  # column after column: x_i needs x_j of j ≥ i only
         row, value = inverse[j], y[j]
         y[j] = 0.0
@@ -122,7 +122,7 @@ def backward_slab(inverse, y):
 
 @jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
 def backward(inverse, coupling, x):
-    """Solve with the transposed factor, in place (K, D)."""
+    """Solve with the transposed factor for x (K, D), in place."""
     for k in range(len(x) - 1, -1, -1):
         if k < len(coupling):
             less_coupling(coupling[k], x[k + 1], x[k])
@@ -131,7 +131,7 @@ def backward(inverse, coupling, x):
 
 @jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
 def solve(inverse, coupling, x):
-    """Solve with the matrix, in place (K, D)."""
+    """Solve with the factorised matrix for x (K, D), in place."""
     for k in range(len(x)):
         if k:
             subtract_coupling(coupling[k - 1], x[k - 1], x[k])
@@ -141,7 +141,7 @@ def solve(inverse, coupling, x):
 
 @jit("(f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1])")
 def marginals(inverse, coupling, cov, cross):
-    """Blocks of the inverse on the diagonal and next to it; they may overwrite the factor."""
+    """Blocks of the inverse at [k, k] and [k, k+1]; they may overwrite the factor."""
     d = inverse.shape[1]
     block, gain = np.empty((d, d)), np.empty((d, d))
     for k in range(len(inverse) - 1, -1, -1):
@@ -155,10 +155,10 @@ def marginals(inverse, coupling, cov, cross):
 
 @jit("(f8[:,:,::1], f8[:,:,::1], i8[:,::1], i8[:,::1], f8[:,:,:,::1], f8[:,:,::1])")
 def add_spread(cov, cross, slab, first, slopes, out):
-    """Add J C Jᵀ of parts of neighbouring slabs, with blocks of C from the blocks of the inverse.
+    """Add covariances J C Jᵀ to `out` (M, r, r), with C of parts of neighbouring slabs.
 
-    Part j of point m is those numbers of slab[m, j] that begin at column first[m, j], and moves
-    what is asked for by slopes[m, :, j]; `out` is (M, r, r).
+    Part j of point m has the components of slab[m, j] from column first[m, j] on and the Jacobian
+    slopes[m, :, j]; `cov` and `cross` are blocks of the inverse, as of `marginals`.
     """
     rows, parts, size = slopes.shape[1:]
     half = np.empty((rows, parts * size))

@@ -8,7 +8,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-from glissando._kernels import (  # noqa: F401  (importing them makes their kernels known)
+from glissando._kernels import (  # noqa: F401  (importing them registers their kernels)
     block_tridiagonal,
     information,
     intervals,
@@ -34,18 +34,18 @@ from glissando._kernels import (  # noqa: F401  (importing them makes their kern
 )
 from glissando._kernels.jit import called_from_python, compile_named
 
-_GARBAGE = 100_000  # objects between collections: hardly any that a compiler makes is garbage
+_GARBAGE = 100_000  # allocations between collections: a compiler makes hardly any garbage
 
 
 def translate_whole_kernels_only(names: Collection[str]) -> None:
-    """Let numba optimise and translate functions that only kernels call as parts of those alone.
+    """Make numba optimise and translate functions that only kernels call as parts of those.
 
-    It does so for each of them, too, and nobody calls what that makes: two fifths of the work. This
-    changes numba's insides in this process, which ends when it has compiled; where they are other
-    ones, all is compiled as always.
+    By default it also does so for each of them alone, which is never called but two fifths of the
+    work. This patches internals of numba in this process, which ends after compiling; if they
+    differ from those expected, all is compiled as by default.
 
     Args:
-        names: Functions that are called from Python.
+        names: Names of functions that are called from Python.
     """
     from numba.core import codegen
 

@@ -1,4 +1,4 @@
-"""What the ends of a chain say of the places between: information carried along it."""
+"""Information at places along a chain, propagated from its two ends."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from glissando._kernels.jit import jit
 
 @jit()
 def _blurred_into(information, noise, out):
-    """Information after noise is added, (1 + I Q)⁻¹ I, made symmetric."""
+    """Information after adding noise, (1 + I Q)⁻¹ I, made symmetric."""
     n = len(noise)
     mixed = np.empty((n, n))
     product(information, noise, mixed, 1.0, 0.0, False, False)
@@ -24,13 +24,13 @@ def _blurred_into(information, noise, out):
 
 @jit("(f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,:,:,::1])")
 def along_chain(base, tip, onward, noise):
-    """Information (K, N, r, r) at N places of K chains: that of their base, and that of their tip.
+    """Information (K, N, r, r) at N places of K chains, from the base and from the tip.
 
     Args:
         base: Information (r, r) at the first place.
         tip: Information (K, r, r) at the last places.
-        onward: How errors travel (K, N−1, r, r) from one place to the next.
-        noise: What is added to them on the way (K, N−1, r, r).
+        onward: Transition matrices (K, N−1, r, r) from one place to the next.
+        noise: Process noise (K, N−1, r, r) between places.
     """
     chains, steps, r = onward.shape[:3]
     outwards = np.empty((chains, steps + 1, r, r))
@@ -40,7 +40,7 @@ def along_chain(base, tip, onward, noise):
         copy_into(base, outwards[k, 0])
         copy_into(tip[k], inwards[k, steps])
         for i in range(steps):
-            back = np.ascontiguousarray(np.linalg.inv(onward[k, i]))  # comes by columns
+            back = np.ascontiguousarray(np.linalg.inv(onward[k, i]))  # returned in column order
             product(outwards[k, i], back, half, 1.0, 0.0, False, False)
             product(back, half, carried, 1.0, 0.0, True, False)
             _blurred_into(carried, noise[k, i], outwards[k, i + 1])

@@ -1,4 +1,4 @@
-"""Arclength intervals that know their rates, and points inside them. Source: (2'), (9), (10)."""
+"""Errors of arclength intervals, states inside them, and rates. Source: (2'), (9), (10)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _scaled(factor, x, out):
 
 @jit()
 def _put(out, row, column, block, sign):
-    """Write ± a block (6, 6) into its place."""
+    """Write a block (6, 6), times a sign, at a row and column."""
     for i in range(6):
         for j in range(6):
             out[row + i, column + j] = sign * block[i, j]
@@ -77,7 +77,7 @@ def _error(pose0, pose1, fields0, fields1, step, error, j0, j1):
 def _error_slopes(
     xi, xi_rate, scaled, rate0, step, spread, back, pull, unmiss, drawn, carried, j0, j1
 ):
-    """Its Jacobians (24, 24) by both nodes, into zeros, of what the error is made of."""
+    """Jacobians (24, 24) of `_error` by both nodes, from its intermediate results, into zeros."""
     slope, by_miss, by_ahead = matrix(6, 6), matrix(6, 6), matrix(6, 6)
     a, b = matrix(6, 6), matrix(6, 6)
     times_into(spread, back, a)
@@ -119,7 +119,7 @@ def _error_slopes(
 
 @jit("(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1])")
 def interval_error(pose0, pose1, fields0, fields1, step):
-    """Errors (M, 24) of intervals, Jacobians (M, 24, 24) at both ends."""
+    """Errors (M, 24) of intervals, Jacobians (M, 24, 24) by both ends."""
     m = len(step)
     error, j0, j1 = np.empty((m, 24)), np.zeros((m, 24, 24)), np.zeros((m, 24, 24))
     for n in range(m):
@@ -129,7 +129,7 @@ def interval_error(pose0, pose1, fields0, fields1, step):
 
 @jit()
 def _spread(gain, turn, curl, e, d, out):
-    """Jacobian (24, 24) at the point with respect to one end, through the interval's error."""
+    """Jacobian (24, 24) at the point by one end, through the interval's error."""
     for half in (0, 12):
         product(gain, e[half : half + 12], d[half : half + 12], 1.0, 0.0, False, False)
     for i in range(6):
@@ -144,7 +144,7 @@ def _spread(gain, turn, curl, e, d, out):
 
 @jit()
 def _add_own_slopes(u, scaled, rate0, carried, stretch, unbend, back, j0):
-    """Add the Jacobian (24, 24) at the point by its lower end, as if nothing were bent."""
+    """Add the Jacobian (24, 24) at the point by its lower end at a fixed error."""
     a, b, slope = matrix(6, 6), matrix(6, 6), matrix(6, 6)
     ad_into(carried, a)
     times_into(a, stretch, b)
@@ -171,7 +171,7 @@ def _add_own_slopes(u, scaled, rate0, carried, stretch, unbend, back, j0):
     " f8[:,::1])"
 )
 def interval_between(pose0, pose1, fields0, fields1, step, offset, gain, whole, part):
-    """Poses, fields (M, 18) and Jacobians (M, 24, 24) at both ends, of points in intervals."""
+    """Poses, fields (M, 18) and Jacobians (M, 24, 24) by both ends, of points in intervals."""
     m = len(step)
     pose, fields = np.empty((m, 4, 4)), np.empty((m, 18))
     j0, j1 = np.empty((m, 24, 24)), np.empty((m, 24, 24))

@@ -1,10 +1,10 @@
-"""Kernels: functions that numba compiles when the first of them is called, and keeps on disk.
+"""Kernels: functions that numba compiles when they are first called, and caches on disk.
 
 Importing a kernel costs nothing, and a process that calls none never imports numba. An estimate
-begins with all modules that it and its prior use, compiled side by side; any other is compiled with
-the first call of a kernel of it, so that nobody waits for a prior that he does not use. What is
-compiled stands in a folder of its own for these sources, where and as they are, this numba and this
-Python, so neither an upgrade nor another copy meets what was compiled before it.
+begins by loading all modules that it and its prior use, compiled in parallel; any other module is
+compiled at the first call of one of its kernels, so that unused priors cost no time. Each cache
+folder is for the path, time and content of these sources, a version of numba and one of Python, so
+that neither an upgrade nor another copy of the package uses outdated code.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ except ImportError:  # Windows: two processes at once may compile twice
 
 _KERNELS: list[Kernel] = []
 _LOCK = threading.RLock()
-_NOTICE, _AGAIN = 1.0, 5.0  # seconds of compiling until a person reads why, and between lines
-_PROCESSES = 4  # that compile at once, at most
-_KEPT = 8  # folders of what other versions and copies compiled
+_NOTICE, _AGAIN = 1.0, 5.0  # seconds of compiling until the first message, and between messages
+_PROCESSES = 4  # largest number of processes that compile at once
+_KEPT = 8  # cache folders of other versions and copies that are kept
 
 
 class Kernel:
-    """A function to compile: `signatures` are the argument types it is called with, if any."""
+    """A function to compile; `signatures` are argument types of calls from Python, if any."""
 
     def __init__(
         self, function: Callable[..., Any], signatures: tuple[str, ...], *, inline: bool
@@ -54,18 +54,18 @@ class Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """What numba takes it for in kernels that call it."""
+        """Type of this kernel in kernels that call it."""
         from numba import types
 
         return types.Dispatcher(self.compiled)
 
     @property
     def file(self) -> str:
-        """What numba's files of it begin with."""
+        """Prefix of numba's cache files of this kernel."""
         return f"{self.module}.{self.function.__name__}"
 
     def work(self) -> int:
-        """How much there is to compile: bytes of code of it and of all that it calls."""
+        """Amount of work to compile: bytecode size of the kernel and of all that it calls."""
         calls, seen = [self], {self.name}
         for caller in calls:
             names = caller.function.__code__.co_names
@@ -76,7 +76,7 @@ class Kernel:
         return sum(len(each.function.__code__.co_code) for each in calls)
 
     def compile(self) -> None:
-        """Compile every signature, or load it from the cache, which calls find by types alone."""
+        """Compile every signature, or load it from the cache."""
         from numba.core.sigutils import normalize_signature
 
         for signature in self.signatures:
@@ -89,14 +89,14 @@ class Kernel:
 
 
 class External:
-    """A function of another library that kernels call, by its symbol and its type."""
+    """A function of another library that kernels call, given by symbol and signature."""
 
     def __init__(self, symbol: str, signature: str) -> None:
         self.symbol, self.signature = symbol, signature
 
     @property
     def compiled(self) -> Any:
-        """What numba takes for it."""
+        """The function as an object of numba."""
         from numba import types
         from numba.core.sigutils import normalize_signature
 
@@ -105,12 +105,12 @@ class External:
 
 
 def jit(*signatures: str, inline: bool = False) -> Callable[[Callable[..., Any]], Any]:
-    """A decorator that makes a kernel; sums inside it may be done in any order.
+    """Decorator that makes a kernel; sums inside it may be reordered.
 
     Args:
-        signatures: Types of the arguments as numba writes them, of kernels that others call from
+        signatures: Types of the arguments in numba's notation, for kernels that are called from
             Python; none for those that only kernels call.
-        inline: Compile it into the kernels that call it, which then know the sizes of its arrays.
+        inline: Compile it into the kernels that call it, in which sizes of arrays are known.
     """
     return lambda function: Kernel(function, signatures, inline=inline)
 
@@ -119,7 +119,7 @@ def load(*modules: str) -> None:
     """Make kernels callable: compile them, the first time on this machine, or load them.
 
     Args:
-        modules: Modules whose kernels are made callable, compiled side by side.
+        modules: Names of the modules of kernels, which are compiled in parallel.
     """
     with _LOCK:
         kernels = [k for k in _KERNELS if k.signatures and not k.ready and k.module in modules]
@@ -134,12 +134,12 @@ def load(*modules: str) -> None:
 
 
 def called_from_python() -> set[str]:
-    """Names of the functions, of modules imported so far, that are called from Python."""
+    """Names of the kernels, of modules imported so far, that are called from Python."""
     return {kernel.function.__qualname__ for kernel in _KERNELS if kernel.signatures}
 
 
 def compile_named(claims: Path, names: Sequence[str]) -> None:
-    """Compile some kernels into the cache: what `load` asks of other processes.
+    """Compile some kernels into the cache, in a process that `load` started.
 
     Args:
         claims: Folder in which processes that share the work claim a kernel, each by a file.
@@ -154,7 +154,7 @@ def compile_named(claims: Path, names: Sequence[str]) -> None:
 
 
 def _dispatchers() -> Path:
-    """Make numba know the kernels that it has not met, and them one another; their cache."""
+    """Create numba's dispatchers of new kernels and link them; returns the cache folder."""
     import numba
 
     config: Any = numba.config
@@ -178,12 +178,12 @@ def _dispatchers() -> Path:
 
 
 def _compile_once(kernels: list[Kernel], folder: Path) -> None:
-    """Compile the given signatures unless an earlier process did, with a word if it takes long.
+    """Compile kernels unless an earlier process did, with messages if it takes long.
 
-    Processes of their own compile, what takes longest first, and all others load, so that every
-    process runs the same code; numba's varies in the last digit with the order of sets of words.
-    Every process loads a kernel when it is first called: what several have in common is that of
-    the first one loaded.
+    Separate processes compile, the largest kernels first, and all others load the results, so that
+    every process runs the same code: numba's varies in the last digit with the hash order of
+    strings. A process loads a kernel when it is first called; functions that several kernels share
+    are those of the first one loaded.
     """
     if not _missing(kernels, folder):
         return
@@ -191,14 +191,14 @@ def _compile_once(kernels: list[Kernel], folder: Path) -> None:
     threading.Thread(target=_say, args=(kernels, folder, over), daemon=True).start()
     try:
         with _locked(folder):
-            missing = _missing(kernels, folder)  # another process may have compiled meanwhile
+            missing = _missing(kernels, folder)  # another process may have compiled them meanwhile
             with tempfile.TemporaryDirectory(dir=folder) as claims:
                 count = min(os.cpu_count() or 1, _PROCESSES, len(missing))
                 for process in [_compiling(claims, missing, folder) for _ in range(count)]:
                     if process is not None:
                         process.wait()
             done = _on_disk(folder)
-            for kernel in kernels:  # what no process could
+            for kernel in kernels:  # if no process could
                 if kernel.file not in done:
                     kernel.compile()
             with suppress(OSError), (folder / "compiled").open("a", encoding="utf-8") as file:
@@ -208,7 +208,7 @@ def _compile_once(kernels: list[Kernel], folder: Path) -> None:
 
 
 def _on_disk(folder: Path) -> set[str]:
-    """What the files of kernels begin with that are compiled."""
+    """Prefixes of the cache files of compiled kernels."""
     return {path.name.partition("-")[0] for path in folder.rglob("*.nbi")}
 
 
@@ -222,7 +222,7 @@ def _missing(kernels: list[Kernel], folder: Path) -> list[str]:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Let one process at a time compile, where the system has such locks."""
+    """Hold the lock with which one process at a time compiles, where the system has locks."""
     with (folder / "lock").open("w") as file:
         if fcntl is not None:
             with suppress(OSError):
@@ -231,7 +231,7 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _compiling(claims: str, names: list[str], folder: Path) -> subprocess.Popen[bytes] | None:
-    """A process that compiles kernels into the cache; None inside a program that is no Python."""
+    """Start a process that compiles into the cache; None inside a program other than Python."""
     if "python" not in Path(sys.executable or "").name.lower():
         return None
     command = [sys.executable, "-m", "glissando._kernels.compile", claims, *names]
@@ -245,9 +245,9 @@ def _compiling(claims: str, names: list[str], folder: Path) -> subprocess.Popen[
 
 
 def _say(kernels: list[Kernel], folder: Path, over: threading.Event) -> None:
-    """Say what is being compiled, and how much of it is done, until it is over.
+    """Print the progress of compilation to stderr until it is over.
 
-    What an earlier process left compiled takes no time now, so it counts for nothing.
+    Kernels that were on disk before take no time now, so they are in neither the share nor the sum.
     """
     before = _on_disk(folder)
     work = {kernel.file: kernel.work() for kernel in kernels if kernel.file not in before}
@@ -263,14 +263,14 @@ def _say(kernels: list[Kernel], folder: Path, over: threading.Event) -> None:
 
 
 def cache_folder(numba_version: str) -> Path:
-    """The folder of what is compiled: the user's cache, or a temporary one where that fails.
+    """Cache folder of compiled kernels: the user's, or a temporary one where that fails.
 
     Args:
         numba_version: Version of the compiler.
     """
     digest = hashlib.sha256(f"{numba_version} {sys.version}".encode())
     for source in sorted(Path(__file__).parent.glob("*.py")):
-        changed = source.stat().st_mtime_ns  # numba compiles anew what another copy compiled
+        changed = source.stat().st_mtime_ns  # numba recompiles if the time of a source differs
         digest.update(f"{source} {changed}".encode() + source.read_bytes())
     name = f"kernels-{digest.hexdigest()[:16]}"
     given = os.environ.get("GLISSANDO_CACHE")
@@ -284,7 +284,7 @@ def cache_folder(numba_version: str) -> Path:
 
 
 def _is_writable(folder: Path) -> bool:
-    """Whether the folder is, or can be made, a place of this user's own to write to."""
+    """Whether the folder exists or can be made, is writable, and belongs to this user."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         with tempfile.TemporaryFile(dir=folder):
@@ -295,7 +295,7 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _drop_others(root: Path, name: str) -> None:
-    """Remove what others compiled, but for those used last, which may be in use."""
+    """Remove cache folders of other versions, except the latest ones, which may be in use."""
     with suppress(OSError):
         now = time.time_ns()  # finer than what the system sets by itself
         os.utime(root / name, ns=(now, now))

@@ -1,4 +1,4 @@
-"""SE(3) for one item: what the compiled loops are made of.
+"""SE(3) of single items, for use inside compiled loops.
 
 Matrices of the form [A B; 0 A], as adjoints and Jacobians of SE(3) are, are multiplied by blocks.
 """
@@ -15,7 +15,7 @@ from glissando._kernels.scratch import matrix, vector, zero_matrix
 
 BELOW = 1.0  # squared angle under which the power series are used
 _TERMS = 12
-_NEAR = 2.0  # trace of a rotation above which its sine says all
+_NEAR = 2.0  # trace of a rotation above which its angle follows from its sine
 
 
 def _factorial_series(offset: int) -> list[float]:
@@ -44,7 +44,7 @@ _B2, _C2 = (np.array(_derivative(list(series))) for series in (_B1, _C1))
 
 @jit(inline=True)
 def _series(coefficients, q):
-    """Σ c_m q^m for q < 1, with no more terms than q asks for."""
+    """Σ c_m q^m for q < 1, with as many terms as q requires."""
     terms = 5 if q < 1e-3 else 7 if q < 0.05 else coefficients.size
     value = coefficients[terms - 1]
     for m in range(terms - 2, -1, -1):
@@ -126,7 +126,7 @@ def exp_into(x, out):
 
 @jit(inline=True)
 def _rotation_log(r, out):
-    """Rotation vector into out[3:6]."""
+    """Rotation vector of a rotation, into out[3:6]."""
     x, y, z = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
     trace = r[0, 0] + r[1, 1] + r[2, 2]
     if trace > _NEAR:
@@ -186,7 +186,7 @@ def ahead_into(a, b, out):
 
 @jit(inline=True)
 def fill(out):
-    """The lower half of [A B; 0 A]."""
+    """Complete the lower half of [A B; 0 A]."""
     for i in range(3):
         for j in range(3):
             out[3 + i, j] = 0.0
@@ -217,7 +217,7 @@ def adjoint_back_into(pose, out):
 
 @jit(inline=True)
 def ad_into(x, out):
-    """Derivative (6, 6) of the adjoint, into `out`."""
+    """ad(x) (6, 6), the derivative of the adjoint at the identity, into `out`."""
     for first in (0, 3):
         k = 3 - first
         out[0, first] = out[1, first + 1] = out[2, first + 2] = 0.0
@@ -261,7 +261,7 @@ def _polynomial(x, c1, c2, c3, c4, out):
 
 @jit(inline=True)
 def jacobian_coefficients(q):
-    """Those of ad(x)^i in J_r(x), i from 1 to 4."""
+    """Coefficients of ad(x)^i in J_r(x), i from 1 to 4, at a squared angle q."""
     b, c, b_slope, c_slope = _bc_slopes(q)
     return q * b_slope - b, c - q * c_slope, b_slope, -c_slope
 
@@ -275,7 +275,7 @@ def right_jacobian_into(x, out):
 
 @jit(inline=True)
 def right_jacobian_inverse_into(x, out):
-    """Its inverse (6, 6), into `out`."""
+    """Inverse right Jacobian (6, 6), into `out`."""
     q = squared_angle(x)
     d, slope = _d_and_slope(q)
     _polynomial(x, 0.5, d - q * slope, 0.0, -slope, out)

@@ -1,6 +1,6 @@
-"""A Matérn-3/2 process of unit variance: its state (x, ẋ) between two moments. Source: (7).
+"""A Matérn-3/2 process of unit variance: transitions of its state (x, ẋ). Source: (7).
 
-λ = √3/ℓ for a time scale ℓ; everything is 2×2.
+λ = √3/ℓ for a time scale ℓ; matrices are 2×2.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from glissando._kernels.blas import product
 from glissando._kernels.jit import jit
 from glissando._kernels.scratch import matrix
 
-_SMALL = 2.0  # argument below which a sum has more digits than a difference from one
+_SMALL = 2.0  # argument below which a series is more accurate than the difference
 
 
 @jit()
@@ -32,7 +32,7 @@ def _gamma3(x):
 
 @jit()
 def transition_into(scale, step, out):
-    """Φ(step) (2, 2)."""
+    """Transition matrix Φ(step) (2, 2)."""
     rate = sqrt(3.0) / scale
     a = rate * step
     fade = exp(-a)
@@ -53,7 +53,7 @@ def covariance_into(scale, step, out):
 
 @jit()
 def inverse_into(a, out):
-    """The inverse (2, 2)."""
+    """Inverse of a matrix (2, 2)."""
     det = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
     out[0, 0], out[1, 1] = a[1, 1] / det, a[0, 0] / det
     out[0, 1], out[1, 0] = -a[0, 1] / det, -a[1, 0] / det
@@ -73,7 +73,7 @@ def inverse_root_of_noise_into(scale, step, out):
 
 @jit()
 def bridge_into(scale, step, offset, early, late, left):
-    """What both ends of a step say at `offset` strictly inside: Λ, Ψ and leftover (2, 2)."""
+    """Gains Λ, Ψ of both ends and bridge covariance (2, 2) at `offset` strictly inside a step."""
     near, whole, inverse = matrix(2, 2), matrix(2, 2), matrix(2, 2)
     onward, a, b = matrix(2, 2), matrix(2, 2), matrix(2, 2)
     covariance_into(scale, offset, near)
@@ -95,7 +95,7 @@ def bridge_into(scale, step, offset, early, late, left):
 
 @jit("(f8, f8[::1])")
 def transition(scale, step):
-    """Φ (M, 2, 2) over steps (M,)."""
+    """Transition matrices Φ (M, 2, 2) over steps (M,)."""
     out = np.empty((len(step), 2, 2))
     for n in range(len(step)):
         transition_into(scale, step[n], out[n])
@@ -104,7 +104,7 @@ def transition(scale, step):
 
 @jit("(f8, f8[::1])")
 def process_covariance(scale, step):
-    """Q (M, 2, 2) of steps (M,)."""
+    """Process noise Q (M, 2, 2) of steps (M,)."""
     out = np.empty((len(step), 2, 2))
     for n in range(len(step)):
         covariance_into(scale, step[n], out[n])
@@ -113,7 +113,7 @@ def process_covariance(scale, step):
 
 @jit("(f8, f8[::1], f8[::1])")
 def bridge(scale, step, offset):
-    """Λ, Ψ and leftover covariances (M, 2, 2) at offsets into steps (M,)."""
+    """Gains Λ, Ψ and bridge covariances (M, 2, 2) at offsets into steps (M,)."""
     early, late, left = np.empty((3, len(step), 2, 2))
     for n in range(len(step)):
         bridge_into(scale, step[n], offset[n], early[n], late[n], left[n])

@@ -1,4 +1,4 @@
-"""Memory of large arrays: what one estimate frees, the next one fills again."""
+"""Reuse of the memory of large arrays by successive estimates."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _SIZES = 1 << 25, 1 << 30  # bytes; older versions of glibc take no more than th
 
 @cache
 def keep_freed_memory() -> None:
-    """Let the C library keep what arrays of up to 1 GB free, if it is glibc.
+    """Make the C library, if it is glibc, keep freed memory of arrays of up to 1 GB.
 
-    It gives large blocks back to the system otherwise, which hands them out again page by page,
-    zeroed: up to a fifth of an estimate's time. A process then stays as large as it once was.
+    By default it returns large blocks to the system, which provides them again page by page,
+    zeroed: up to a fifth of an estimate's time. The process then keeps its largest size.
     """
     with suppress(AttributeError, OSError, TypeError):  # another C library, or Windows
         mallopt = ctypes.CDLL(None).mallopt

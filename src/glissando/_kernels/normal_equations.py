@@ -1,7 +1,7 @@
-"""Factors whitened, summed into the normal equations, and judged.
+"""Factors whitened and summed into the normal equations, and squared innovations of readings.
 
 A factor lies in the interval between two time nodes, or on the first of them. A time node has
-`size` numbers: `dof` for each of its `n_count` arclength nodes, then those of sensor parameters.
+D numbers: `dof` for each of its `n_count` arclength nodes, then those of sensor parameters.
 Source: equations (19) and (20).
 """
 
@@ -21,7 +21,7 @@ SUMS = "f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1]"
 
 @jit(inline=True)
 def _is_zero(jacobian, node, first, last):
-    """Whether no row has a slope by columns of a node."""
+    """Whether a Jacobian is zero in the columns `first` to `last` of a node."""
     for y in range(len(jacobian)):
         for x in range(first, last):
             if jacobian[y, node, x] != 0.0:
@@ -31,7 +31,7 @@ def _is_zero(jacobian, node, first, last):
 
 @jit(inline=True)
 def _is_none(slopes, width):
-    """Whether no row has a slope in the first columns."""
+    """Whether a Jacobian is zero in its first columns."""
     for y in range(len(slopes)):
         for x in range(width):
             if slopes[y, x] != 0.0:
@@ -41,16 +41,17 @@ def _is_none(slopes, width):
 
 @jit(inline=True)
 def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
-    """Interval of a factor; its groups of columns with a slope, and how many they are.
+    """Interval of a factor, and number of its groups of non-zero columns, which are written.
 
-    A group is up to six columns of a node, or columns side by side of the parameters' at one end of
-    the interval: `groups` are the end it belongs to, its column there, its width, its column in
-    the Jacobian. What lies on the last node is of that node alone, as in a window nodes follow it.
+    A group is up to six columns of a node, or adjacent columns of the parameters at one end of the
+    interval. A row of `groups` has its end of the interval, its column there, its width, and its
+    column in the Jacobian. A factor on the last node is of that node alone, as nodes follow it in
+    a window.
     """
     c, d = jacobian.shape[1:]
     e = extras.shape[1] // 2
     k, filled, ahead = nodes[0] // n_count, 0, 0
-    if e and 0 < k == count - 1:  # the parameters' slopes are by the interval that ends there
+    if e and 0 < k == count - 1:  # slopes by parameters are of the interval that ends there
         ahead = 1 if _is_none(extras, e) else 0
         k -= 1 - ahead
     for a in range(c):
@@ -73,7 +74,7 @@ def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
 
 @jit(inline=True)
 def _add_runs(slopes, later, first, at, groups, filled):
-    """Add the runs of columns of parameters with a slope to the groups; how many they are now."""
+    """Add runs of non-zero columns of parameters to the groups; returns the new number."""
     begin, count = -1, slopes.shape[1]
     for x in range(count + 1):
         live = False
@@ -90,7 +91,7 @@ def _add_runs(slopes, later, first, at, groups, filled):
 
 @jit(inline=True)
 def _whitened(sqrt_info, jacobian, extras, residual, groups, filled, slopes, white, miss):
-    """White Jacobian (r, ·) of the groups side by side, white residual (r,); the width."""
+    """Whiten the Jacobian (r, ·) of adjacent groups and the residual (r,); returns the width."""
     r, wide, width = len(miss), jacobian.shape[1] * jacobian.shape[2], 0
     rows = jacobian.reshape(r, wide)
     for g in range(filled):
@@ -114,7 +115,7 @@ def _whitened(sqrt_info, jacobian, extras, residual, groups, filled, slopes, whi
 
 @jit(inline=True)
 def _pull(weight, miss, white, first, columns, rhs, k, at):
-    """Take a group's share of the white slopes times the white residual off a right-hand side."""
+    """Subtract Jᵀr of a group, whitened and weighted, from a right-hand side."""
     if columns == 6:
         column, a, b, c, d, e, f = np.uint64(first), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for y in range(len(miss)):
@@ -132,7 +133,7 @@ def _pull(weight, miss, white, first, columns, rhs, k, at):
 
 @jit(inline=True)
 def _add_six(weight, square, row, column, blocks, k, at, beside):
-    """Add a part (6, 6) of a square to one of a block; a row is read before it is written."""
+    """Add a weighted part (6, 6) of JᵀJ to a block; a row is read before it is written."""
     for x in range(_SIX):
         i, j = row + x, at + x
         a, b, c = square[i, column], square[i, column + _ONE], square[i, column + _TWO]
@@ -148,7 +149,7 @@ def _add_six(weight, square, row, column, blocks, k, at, beside):
 
 @jit(inline=True)
 def _add_part(weight, square, row, column, height, wide, blocks, k, at, beside):
-    """Add a part (height, wide) of a square to one of a block."""
+    """Add a weighted part (height, wide) of JᵀJ to a block."""
     if height == wide == 6:
         _add_six(
             weight, square, np.uint64(row), np.uint64(column), blocks, np.uint64(k), np.uint64(at),
@@ -165,7 +166,7 @@ def add_factor(
     nodes, first_dof, jacobian, residual, sqrt_info, extras, weight, n_count, dof,
     begin, end, across, rhs_begin, rhs_end, slopes, white, miss, square, room,
 ):  # fmt: skip
-    """Whiten a factor and add it to the blocks of intervals; the last five are scratch."""
+    """Whiten a factor and add it to the blocks of intervals; the last five arrays are scratch."""
     count, row = len(begin), 0
     k, filled = _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, room)
     width = _whitened(sqrt_info, jacobian, extras, residual, room, filled, slopes, white, miss)
@@ -214,10 +215,10 @@ def squared_innovations(
     """Squared innovations of `which` factors (M,) of a batch, each against all others.
 
     `inverse` and `coupling` are the block Cholesky factor, its slabs in the order `slot` (K,), of a
-    system that holds each factor with a `weight` w (M,) and is solved by `step` (K, D). With
-    G = Y Yᵀ explained of its unit covariance, a white residual e there keeps a share S = 1 − w G
-    and stands for the innovation S⁻¹ e of covariance S⁻¹ (S + G), whose square in units of it is
-    eᵀ (S (S + G))⁻¹ e.
+    system that contains each factor with a `weight` w (M,) and is solved by `step` (K, D). With
+    G = Y Yᵀ the white covariance of its prediction and S = 1 − w G, a white residual e at the
+    solution corresponds to the innovation S⁻¹ e of covariance S⁻¹ (S + G), whose normalised square
+    is eᵀ (S (S + G))⁻¹ e.
     """
     r, c, d = jacobian.shape[1:]
     q, count, size, m = c * d + extras.shape[2], len(slot), step.shape[1], len(which)
@@ -245,7 +246,7 @@ def squared_innovations(
 
 @jit(inline=True)
 def _live(white, miss):
-    """How many rows come before those at the end of which nothing depends on the state."""
+    """Number of rows before those at the end that are zero in Jacobian and residual."""
     live = len(white)
     while live > 1 and miss[live - 1] == 0.0 and not white[live - 1].any():
         live -= 1
@@ -254,7 +255,7 @@ def _live(white, miss):
 
 @jit(inline=True)
 def _explained(rows, root, out):
-    """Rows times the transpose of a lower triangular root, where rows hold few numbers."""
+    """Rows with few non-zero columns times the transpose of a lower triangular root."""
     low, high = rows.shape[1], 0
     for i in range(len(rows)):
         for j in range(rows.shape[1]):
@@ -267,7 +268,7 @@ def _explained(rows, root, out):
 
 @jit(inline=True)
 def _squared(rows, begins, inverse, coupling, slot, miss, weight):
-    """Squares (M,) from white rows (K, ·, D), residuals (M, r) at the solution and weights."""
+    """Normalised squares (M,), from white Jacobians (K, ·, D), residuals (M, r), and weights."""
     m, r = miss.shape
     gain, share, root, out = np.zeros((m, r, r)), np.empty((r, r)), np.empty((r, r)), np.zeros(m)
     cov, count = np.empty((r, r)), begins[m]
@@ -304,14 +305,14 @@ def _squared(rows, begins, inverse, coupling, slot, miss, weight):
 
 @jit(inline=True)
 def at_nodes_into(by_state, jacobian, left, cov, out, whitener):
-    """Slopes (r, c, d) of a residual by nodes, into zeros, and what whitens it: see `at_nodes`."""
+    """Jacobian (r, c, d) of a residual by nodes, into zeros, and its whitener: see `at_nodes`."""
     r, dof = by_state.shape
     c, d = jacobian.shape[1:]
     half, whole = np.zeros((r, dof)), np.empty((r, r))
     for i in range(r):
         for k in range(dof):
             share = by_state[i, k]
-            if share != 0.0:  # a sensor sees little of a state
+            if share != 0.0:  # most of them are zero
                 for j in range(dof):
                     half[i, j] += share * left[k, j]
                 for a in range(c):
@@ -327,10 +328,10 @@ def at_nodes_into(by_state, jacobian, left, cov, out, whitener):
 
 @jit("(f8[:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1])")
 def at_nodes(by_state, jacobian, left, cov):
-    """Slopes of residuals by nodes (M, r, c, d), and what whitens the residuals (M, r, r).
+    """Jacobians of residuals by nodes (M, r, c, d), and their whiteners (M, r, r).
 
-    `by_state` (M, r, 18) is their slope by the state between the nodes, which has slopes `jacobian`
-    (M, 18, c, d) and what nodes `left` uncertain (M, 18, 18), added to `cov` (M, r, r): (13).
+    `by_state` (M, r, 18) is that by the state between the nodes, which has the Jacobian `jacobian`
+    (M, 18, c, d) and the bridge covariance `left` (M, 18, 18), added to `cov` (M, r, r): (13).
     """
     m, r = by_state.shape[:2]
     c, d = jacobian.shape[2:]

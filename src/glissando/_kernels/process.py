@@ -24,7 +24,7 @@ _NODES = np.array([np.resize(0.5 * (nodes + 1.0), 6) for nodes, _ in _RULES])
 _WEIGHTS = np.array([np.resize(0.5 * weights, 6) for _, weights in _RULES])
 SMALL = 48  # rows of a matrix up to which elimination by rows is faster than by halves
 _ZERO, _ONE, _TWO = (np.uint64(i) for i in range(3))  # need no check of bounds
-_FEW, _SOME = 0.02**2, 0.2**2  # squared angles up to which 4 and 5 nodes miss less than 1e-12
+_FEW, _SOME = 0.02**2, 0.2**2  # squared angles up to which 4 and 5 nodes err by less than 1e-12
 
 
 @jit(inline=True)
@@ -45,9 +45,9 @@ def whiten_into(cov, out):
 
 @jit()
 def inverse_root_into(cov, out):
-    """The same, and whether there is one. An exception would keep a kernel's arrays forever.
+    """Compute the W of `whiten_into`; returns whether `cov` is positive definite.
 
-    Only the lower triangle of `cov` is read.
+    It raises no exception, which would leak a kernel's arrays. Only the lower triangle is read.
     """
     if len(cov) > SMALL:
         return _eliminate(cov, np.empty(cov.shape), out)
@@ -58,9 +58,9 @@ def inverse_root_into(cov, out):
 def _eliminate(cov, room, out):
     """Eliminate [A, 1], two pivots at a time; returns whether all of them are positive.
 
-    Row j of `room` holds L⁻¹ before column j and what is left of A from there on. Whole rows are
-    added, as that is faster than their live parts: what a row holds between is overwritten when its
-    column is eliminated.
+    Row j of `room` holds L⁻¹ before column j and the remainder of A from there on. Whole rows are
+    added, which is faster than adding their non-zero parts: the entries between are overwritten
+    when their column is eliminated.
     """
     n = np.uint64(len(cov))
     for j in range(n):
@@ -93,7 +93,7 @@ def _eliminate(cov, room, out):
 
 @jit(inline=True)
 def _row_into(row, count, root, room, out):
-    """A row of the inverse, scaled, and zeros beyond the diagonal."""
+    """Write a row of the inverse, scaled, and zeros beyond the diagonal."""
     for x in range(count):
         out[row, x] = root * room[row, x] if x <= row else 0.0
 
@@ -118,7 +118,7 @@ def _add_square(turn, density, weight, out):
 
 @jit()
 def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
-    """Noise of an interval; `cov` (12, 12) and `carried` (6, 6) are written."""
+    """Process noise of an interval; `cov` (12, 12) and `carried` (6, 6) are written."""
     m, m2, m3, m4 = matrix(6, 6), matrix(6, 6), matrix(6, 6), matrix(6, 6)
     lever, transport, mean, angle = matrix(6, 6), matrix(6, 6), zero_vector(5), squared_angle(rate)
     for i in range(6):
@@ -163,7 +163,7 @@ def process_into(rate, step, psd, carried_psd, jump, rigid, cov, carried):
 
 @jit()
 def middle_into(rate0, rate1, step, psd, jump, out):
-    """The rate (6,) about which a step is linearised: the mean, less the jump at its end."""
+    """Rate (6,) about which a step is linearised: the mean without the expected jump."""
     for i in range(6):
         share = 0.5 * step * psd[i] / (step * psd[i] + jump[i])
         out[i] = rate0[i] + share * (rate1[i] - rate0[i])
@@ -171,7 +171,7 @@ def middle_into(rate0, rate1, step, psd, jump, out):
 
 @jit()
 def _condition(near, cross, root, gain, cov):
-    """Gain = crossᵀ whole⁻¹ and cov = near − gain cross, with the whitener `root` of the whole."""
+    """Gain = crossᵀ whole⁻¹ and cov = near − gain cross, with the whitener `root` of whole."""
     n = len(near)
     half = np.empty((n, n))
     product(root, cross, half, 1.0, 0.0, False, False)
@@ -205,7 +205,7 @@ def transition_of_pair_into(rate, step, out):
 def bridge_into(
     rate, step, offset, psd, carried_psd, jump, rigid, gain, cov, carried_gain, carried_cov
 ):
-    """Bridge at `offset` into a step: gains and covariances of pair (12, 12), carried (6, 6)."""
+    """Gains and bridge covariances at `offset` in a step: pair (12, 12), carried field (6, 6)."""
     rest, jumps, phi = step - offset, zero_matrix(2, 6), matrix(12, 12)
     noise, carried, cross = cube(2, 12, 12), cube(2, 6, 6), matrix(12, 12)
     root, root6, cross6 = zero_matrix(12, 12), matrix(6, 6), matrix(6, 6)

@@ -1,4 +1,4 @@
-"""A loaded rod from one cross-section to another: its path, slopes and noise.
+"""Flow of a loaded rod from one cross-section to another: path, Jacobians and noise.
 
 Source: docs/math.md, equations (26) and (27).
 """
@@ -24,14 +24,14 @@ from glissando._kernels.rod_series import (
     turn_slopes,
 )
 
-STEPS = 3  # into which an interval is divided
-_AHEAD, _CARRIED, _END, _LEVER, _POSITION, _PLACES = 20, 22, 24, 28, 29, 30  # of vectors
+STEPS = 3  # of an interval
+_AHEAD, _CARRIED, _END, _LEVER, _POSITION, _PLACES = 20, 22, 24, 28, 29, 30  # rows of vectors
 _END_WRENCH = _END + 2
 
 
 @jit()
 def _ahead(h, x, slopes, six):
-    """Six-vector of a step's pose by Magnus' expansion, and its slope."""
+    """Six-vector of a step's pose by Magnus' expansion, and its Jacobian."""
     power = 1.0
     for i in range(3):
         x[_AHEAD, i] = x[_AHEAD + 1, i] = 0.0
@@ -58,7 +58,7 @@ def _ahead(h, x, slopes, six):
 
 @jit()
 def _carry(h, x, slopes):
-    """Wrench after a step about its beginning, less the weight on the way."""
+    """Wrench at the beginning of a step less the step's weight, and its Jacobian."""
     a, b = 0.5 * h * h, h * h * h / 6.0
     for i in range(3):
         x[_LEVER, i] = a * x[ALONG, i] + b * x[ALONG + 1, i]
@@ -78,7 +78,7 @@ def _carry(h, x, slopes):
 
 @jit()
 def _step(h, x, slopes, six, frame, pose, phi):
-    """Pose (4, 4) and wrench after a step; slopes (12, 12) by both, and of the end."""
+    """Pose (4, 4), wrench and transition matrix `phi` (12, 12) of a step."""
     _ahead(h, x, slopes, six)
     exp_into(six, pose)
     right_jacobian_into(six, frame)
@@ -116,7 +116,7 @@ def _step(h, x, slopes, six, frame, pose, phi):
 
 @jit()
 def _begin_step(rotation, pose, load, load_slope, middle, turn, x):
-    """Take wrench and weight over from what lies before."""
+    """Initialise wrench and weight of a step from the end of the step before."""
     for i in range(3):
         x[WEIGHT, i] = 0.0
         for j in range(3):
@@ -129,7 +129,7 @@ def _begin_step(rotation, pose, load, load_slope, middle, turn, x):
 
 @jit()
 def _add_weight(slopes, turn, middle, by_weight):
-    """Add the slope (12, 6) of a step's end by the weight in the world and its slope."""
+    """Add the Jacobian (12, 6) of a step's end by weight in the world and its change a metre."""
     for i in range(12):
         at, k = _END + i // 3, i % 3
         for j in range(3):
@@ -142,7 +142,7 @@ def _add_weight(slopes, turn, middle, by_weight):
 
 @jit()
 def flow_memory():
-    """What `flow_into` writes its intermediate results to."""
+    """Allocate arrays for the intermediate results of `flow_into`."""
     slopes = np.zeros((_PLACES, 3, 9))
     for i in range(3):
         slopes[WEIGHT, i, i] = slopes[FORCE, i, 3 + i] = slopes[MOMENT, i, 6 + i] = 1.0
@@ -155,7 +155,7 @@ def flow_memory():
 
 @jit()
 def flow_into(rotation, length, given, acting, noisy, memory, out):
-    """One interval, from its wrench to that at its end; the slope by weight is zero before."""
+    """Flow over one interval; `wrench` is replaced, pose, noise, by_weight come as zeros."""
     stiffness, rest, rest_slope = given
     load, load_slope, psd = acting
     x, slopes, six, frame, forward, before, onward, old, here, turn, half, scale, noises = memory
@@ -200,7 +200,7 @@ def flow_into(rotation, length, given, acting, noisy, memory, out):
     "f8[:,::1], b1)"
 )
 def flow(rotation, wrench, step, stiffness, rest, rest_slope, weight, weight_slope, psd, noisy):
-    """See `model.priors.mechanical.flow.flow`: pose, wrench, phi, noise, slope by the weight."""
+    """See `model.priors.mechanical.flow.flow`: pose, wrench, phi, noise, Jacobian by weight."""
     m = step.size
     pose, end, phi = np.zeros((m, 4, 4)), wrench.copy(), np.empty((m, 12, 12))
     noise, by_weight, memory = np.zeros((m, 12, 12)), np.zeros((m, 12, 6)), flow_memory()

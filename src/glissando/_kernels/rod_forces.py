@@ -1,4 +1,4 @@
-"""Balance of a moving rod at its Gauss points: what is left of forces when all have acted.
+"""Residual of the balance of forces and moments of a moving rod at its Gauss points.
 
 Source: docs/dynamics.md, "Equations of motion".
 """
@@ -26,7 +26,7 @@ _SLOW = 1e-3  # m/s of sliding at which a contact's friction is 0.7 of Coulomb's
 def _pulls_into(state, before, weights, paths, cables, pull, unit, stretch):
     """Tensions (T, G), tangents (T, G, 3) and stretches (T, G) of tendons.
 
-    `paths` (T, 3, G, 3) are their places, slopes and whether they are there; `cables` (T, 4) are
+    `paths` (T, 3, G, 3) are their positions, derivatives, and 1 where they run; `cables` (T, 4) are
     tension at natural length (N), stiffness (N/m), natural length (m) and friction.
     """
     points = state.shape[1]
@@ -57,11 +57,11 @@ def _pulls_into(state, before, weights, paths, cables, pull, unit, stretch):
 
 @jit()
 def _contacts_into(place, rates, planes, sites, touch, ends):
-    """Set contact force a metre (1, G, 3) in touch[0], and wrenches at elements' ends (E, 6).
+    """Contact forces a metre (1, G, 3), into `touch`, and wrenches at elements' ends (E, 6).
 
-    `planes` (C, 9): point, normal, stiffness N/m², damping s/m, friction of half-spaces, which push
-    as Hunt and Crossley 1975, equation (14), with Coulomb's friction. `sites` (H, 12): element,
-    dead force and moment, anchor, stiffness N/m and damping N s/m of a spring.
+    `planes` (C, 9): point, normal, stiffness N/m², damping s/m, friction of half-spaces, with the
+    force of Hunt and Crossley 1975, equation (14), and Coulomb's friction. `sites` (H, 12):
+    element, dead force and moment, anchor, stiffness N/m and damping N s/m of a spring.
     """
     points = touch.shape[1]
     for g in range(points):
@@ -108,7 +108,7 @@ def _inertia_into(turn, rates, section, gravity, touch, acting):
 
 @jit()
 def _carried_into(beyond, along, acting, ends, carried):
-    """Force and moment (2, G + 1, 3) that are carried at the points and, last, at the base."""
+    """Internal force and moment (2, G + 1, 3) at the points and, last, at the base."""
     points, elements = acting.shape[1], ends.shape[0]
     count = points // elements
     for kind in range(2):
@@ -131,7 +131,7 @@ def _carried_into(beyond, along, acting, ends, carried):
 
 @jit()
 def _residual_into(state, rest, section, paths, turn, carried, pull, unit, out):
-    """What material, dampers and tendons carry, less what inertia and loads ask for (G, 6)."""
+    """Residual wrench (G, 6): material, dampers and tendons, less inertia and loads."""
     for g in range(state.shape[1]):
         for i in range(6):
             out[g, i] = section[0, i] * (state[0, g, i] - rest[g, i])
@@ -162,13 +162,13 @@ def balance(
     state, steps, widths, before, beyond, weights, rest, section, paths,
     base, base_rates, gravity, cables, planes, sites,
 ):  # fmt: skip
-    """The residual (G, 6) of the balance of a rod and, after it, what it was made of.
+    """Residual (G, 6) of the balance of a rod, followed by intermediate results.
 
     `state` (3, G, 6) is strain and its two derivatives by time. `before` (S, G) integrates from the
     base to the places, `beyond` (G + 1, G) from the points, and last from the base, to the tip;
-    `weights` (G,) are the points' shares of arclength. `section` (3, 6) has stiffness; damping;
+    `weights` (G,) are quadrature weights. `section` (3, 6) has stiffness; damping;
     kg/m, rotary inertia (3,) and air damping. `base_rates` (4, 3) are those of the base's pose.
-    For the others see the functions above; `rod_equations.Balance` names what comes out.
+    For the others see the functions above; `rod_equations.Balance` names the results.
     """
     size, points, tendons = before.shape[0], before.shape[1], paths.shape[0]
     turn, place, rates = np.empty((size, 3, 3)), np.empty((size, 3)), np.empty((4, size, 3))

@@ -1,7 +1,7 @@
-"""Intervals of a loaded rod whose nodes move: their errors, points inside, and rates of both.
+"""Intervals of a moving rod under loads: errors, states inside, and rates of both.
 
 A node is its pose and its fields: strain, velocity, strain rate and, with inertia, acceleration and
-its rate. A slope by a node that holds still has columns for pose, strain and acceleration.
+its rate. A static Jacobian by a node has columns for pose, strain and acceleration.
 
 Source: docs/math.md, equations (26), (27) and (32).
 """
@@ -26,15 +26,15 @@ from glissando._kernels.rod_flow import flow_into, flow_memory
 STEP, STIFFNESS, REST, REST_SLOPE, WEIGHT, WEIGHT_SLOPE, END_STIFFNESS, END_REST, MASS = (
     0, 1, 7, 13, 19, 22, 25, 31, 37,
 )  # fmt: skip
-"""Columns of what intervals are made of, and the first of each."""
-NUDGE = 1e-4  # rad or so, by which nodes are moved to difference slopes along their motion
-_HALF = 15  # columns of a slope by a node, with inertia
-_NOISELESS = np.False_  # for a literal numba would compile flows a second time
+"""First columns of the parameters of intervals."""
+NUDGE = 1e-4  # rad or so, step of difference quotients along the nodes' motion
+_HALF = 15  # columns of a static Jacobian by a node, with inertia
+_NOISELESS = np.False_  # not a literal, for which numba would compile flows a second time
 
 
 @jit()
 def _act(rod, fields0, fields1, half, acting):
-    """Weight and its slope (2, 3) with what inertia adds between two nodes. Source: (32)."""
+    """Weight and its change a metre (2, 3), with inertia between two nodes. Source: (32)."""
     for i in range(3):
         acting[0, i], acting[1, i] = rod[WEIGHT + i], rod[WEIGHT_SLOPE + i]
         if half == _HALF:
@@ -45,9 +45,9 @@ def _act(rod, fields0, fields1, half, acting):
 
 @jit()
 def _reach(pose, fields, rod, length, made, acting, memory, out):
-    """Where an undisturbed rod arrives: pose and strain, slopes by pose and strain, by weight.
+    """Pose and strain at the end of an undisturbed rod, Jacobians by pose and strain, by weight.
 
-    `made` (2, 6) is the stiffness at the end and the strain that carries nothing there.
+    `made` (2, 6) are stiffness and rest strain at the end.
     """
     ahead, strain, phi, _, by_weight = out
     for i in range(6):
@@ -59,7 +59,7 @@ def _reach(pose, fields, rod, length, made, acting, memory, out):
         for j in range(4):
             ahead[i, j] = 0.0
     given = rod[STIFFNESS:REST], rod[REST:REST_SLOPE], rod[REST_SLOPE:WEIGHT]
-    loads = acting[0], acting[1], rod[:12]  # no noise is asked for
+    loads = acting[0], acting[1], rod[:12]  # densities, which are not used
     flow_into(pose, length, given, loads, _NOISELESS, memory, out)
     for i in range(6):
         scale = 1.0 / made[0, i]
@@ -73,14 +73,14 @@ def _reach(pose, fields, rod, length, made, acting, memory, out):
 
 @jit()
 def _by_push(rod, by_weight, i, j):
-    """Slopes of a number by the accelerations of both ends, from those by the weight."""
+    """Derivatives of a component by accelerations of both ends, from those by weight."""
     late = -rod[MASS] * by_weight[i, 3 + j] / rod[STEP]
     return -rod[MASS] * by_weight[i, j] - late, late
 
 
 @jit()
 def _apply_top(matrix, rows, slopes, end, half):
-    """Multiply the first six rows of a slope (2, 12, 15) by a matrix (6, 6)."""
+    """Multiply the first six rows of a Jacobian (2, 12, 15) by a matrix (6, 6)."""
     for j in range(half):
         for i in range(6):
             value = 0.0
@@ -93,7 +93,7 @@ def _apply_top(matrix, rows, slopes, end, half):
 
 @jit()
 def _still(nodes, rod, half, work, error, slopes):
-    """Error (12,) of an interval and its slopes (2, 12, 15) by nodes that hold still."""
+    """Error (12,) of an interval and its static Jacobians (2, 12, 15) by both nodes."""
     pose0, fields0, pose1, fields1 = nodes
     memory, out, acting, made, six, end_pose, miss, matrix, _, _ = work
     ahead, strain, phi, _, by_weight = out
@@ -128,7 +128,7 @@ def _still(nodes, rod, half, work, error, slopes):
 
 @jit()
 def _still_inside(nodes, rod, half, offset, gain, work, point, slopes):
-    """Pose (4, 4) and strain (6,) inside an interval, slopes (2, 12, 15) by nodes at rest."""
+    """Pose (4, 4) and strain (6,) inside an interval, static Jacobians (2, 12, 15)."""
     pose0, fields0 = nodes[0], nodes[1]
     pose, strain = point
     memory, out, acting, made, six, begin, bend, matrix, error, whole = work
@@ -174,7 +174,7 @@ def _still_inside(nodes, rod, half, offset, gain, work, point, slopes):
 
 @jit()
 def _moved(pose, fields, time, half, six, turn, pose_out, fields_out):
-    """A node after some time of its motion."""
+    """Node after a `time` of its motion."""
     for i in range(6):
         six[i] = time * fields[6 + i]
         fields_out[i] = fields[i] + time * fields[12 + i]
@@ -186,7 +186,7 @@ def _moved(pose, fields, time, half, six, turn, pose_out, fields_out):
 
 @jit()
 def _nudge(fields0, fields1, step):
-    """A time in which the nodes move by little, s."""
+    """Time, s, in which the nodes move by a small amount."""
     speed = 0.0
     for fields in (fields0, fields1):
         velocity = bend = 0.0
@@ -200,16 +200,16 @@ def _nudge(fields0, fields1, step):
 
 @jit()
 def _motion(fields, j):
-    """The rate of a node's number, in the order of a slope's columns."""
+    """Rate of a node's component, in the order of a static Jacobian's columns."""
     return fields[6 + j] if j < 12 else fields[21 + j - 12]
 
 
 @jit()
 def _rates_into(nodes, nudge, half, slopes, matrix, six, rate, jacobian):
-    """Rate (12,) of a value, slopes (24, 2, 2 half) of both, of slopes at, after and before (3, …).
+    """Rate (12,) of a value and Jacobian (24, 2, 2 half) of both, from static Jacobians.
 
-    Two motions of a pose do not commute, so a slope that changes along the motion does so less
-    the slope of their bracket.
+    These, `slopes` (3, …), are at the nodes and at `nudge` s after and before. Motions of a pose do
+    not commute, so the Jacobian by their bracket is subtracted from the change of the Jacobian.
     """
     for i in range(12):
         rate[i] = 0.0
@@ -234,7 +234,7 @@ def _rates_into(nodes, nudge, half, slopes, matrix, six, rate, jacobian):
 
 @jit()
 def _work():
-    """What the functions above write their intermediate results to."""
+    """Allocate arrays for the intermediate results of the functions above."""
     out = (
         np.empty((4, 4)), np.empty(6), np.empty((12, 12)), np.empty((12, 12)), np.empty((12, 6)),
     )  # fmt: skip

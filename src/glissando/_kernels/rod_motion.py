@@ -16,13 +16,13 @@ from glissando._kernels.lie import compose_into, exp_into
 
 @jit()
 def crossed(ax, ay, az, bx, by, bz):
-    """The cross product of two three-vectors."""
+    """Cross product of two three-vectors."""
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
 @jit()
 def turned(turn, g, x, y, z):
-    """A vector of the body's axes in the world's, at place g."""
+    """Rotate a vector from body to world axes at place g."""
     return (
         turn[g, 0, 0] * x + turn[g, 0, 1] * y + turn[g, 0, 2] * z,
         turn[g, 1, 0] * x + turn[g, 1, 1] * y + turn[g, 1, 2] * z,
@@ -32,7 +32,7 @@ def turned(turn, g, x, y, z):
 
 @jit()
 def turned_back(turn, g, x, y, z):
-    """A vector of the world's axes in the body's, at place g."""
+    """Rotate a vector from world to body axes at place g."""
     return (
         turn[g, 0, 0] * x + turn[g, 1, 0] * y + turn[g, 2, 0] * z,
         turn[g, 0, 1] * x + turn[g, 1, 1] * y + turn[g, 2, 1] * z,
@@ -57,7 +57,7 @@ def integrate_into(matrix, values, out, k):
 
 @jit()
 def _bracket_into(x, i, y, j, out, k):
-    """Bracket of rows for T′ = T ε^, whose products stand in the other order than usual."""
+    """Lie bracket of two rows for T′ = T ε^, for which products have the reverse order."""
     a, b, c = crossed(y[j, 3], y[j, 4], y[j, 5], x[i, 3], x[i, 4], x[i, 5])
     d, e, f = crossed(y[j, 0], y[j, 1], y[j, 2], x[i, 3], x[i, 4], x[i, 5])
     u, v, w = crossed(y[j, 3], y[j, 4], y[j, 5], x[i, 0], x[i, 1], x[i, 2])
@@ -67,7 +67,7 @@ def _bracket_into(x, i, y, j, out, k):
 
 @jit()
 def _magnus_into(inner, step, work, twist):
-    """Twist (6,) of a step with strain (3, 6) at its Gauss points, as `mesh.magnus` has it."""
+    """Twist (6,) of a step with strain (3, 6) at its Gauss points, as by `mesh.magnus`."""
     root = sqrt(15.0) / 3.0 * step
     for i in range(6):
         first, middle, last = inner[0, i], inner[1, i], inner[2, i]
@@ -90,7 +90,7 @@ def _magnus_into(inner, step, work, twist):
 def roll_out_into(state, base, steps, widths, turn, place):
     """Rotations (S, 3, 3) and positions (S, 3) at the places of strains state[0] (G, 6).
 
-    `steps` (P, 3, C) takes the strains of an element to the inner points of its P intervals, whose
+    `steps` (P, 3, C) maps the strains of an element to the inner points of its P intervals, whose
     `widths` (E, P) are in metres; the last interval ends at the element's end.
     """
     elements, intervals, count = widths.shape[0], widths.shape[1], steps.shape[2]

@@ -1,4 +1,4 @@
-"""The noise that a loaded rod gathers on its way. Source: docs/math.md, equation (27)."""
+"""Process noise of a loaded rod. Source: docs/math.md, equation (27)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TERMS = 6  # of the exponential of a step, whose norm is small
 
 @jit()
 def product_into(a, b, out):
-    """A matrix (12, 12) with many zeros times as many columns as `out` has."""
+    """Product of a sparse matrix (12, 12) and a matrix with as many columns as `out`."""
     for i in range(12):
         for j in range(out.shape[1]):
             out[i, j] = 0.0
@@ -27,7 +27,7 @@ def product_into(a, b, out):
 
 @jit()
 def carry_noise(onward, half, noise):
-    """Carry a covariance (12, 12) over a step of slope `onward`."""
+    """Propagate a covariance (12, 12) over a step of transition `onward`, in place."""
     product_into(onward, noise, half)
     for i in range(12):
         for j in range(12):
@@ -39,7 +39,7 @@ def carry_noise(onward, half, noise):
 
 @jit()
 def _add_hat(x, a, factor, scale, first, row, column, out):
-    """Add a multiple of x^ of the vector a, columns divided by `scale` from `first` on."""
+    """Add a multiple of v^ of the vector v = x[a], columns over `scale` from `first` on."""
     u, v, w = factor * x[a, 0], factor * x[a, 1], factor * x[a, 2]
     p, q, r = scale[first], scale[first + 1], scale[first + 2]
     out[row + 1, column] += w / p
@@ -52,7 +52,7 @@ def _add_hat(x, a, factor, scale, first, row, column, out):
 
 @jit()
 def _growth_into(h, scale, x, out):
-    """How errors [pose, wrench] grow, (12, 12), times the step's length; `scale` is [1, K]."""
+    """System matrix of errors [pose, wrench] (12, 12), times the step; `scale` is [1, K]."""
     out[:] = 0.0
     for order in range(2):
         factor = h if order == 0 else 0.5 * h * h
@@ -70,7 +70,7 @@ def _growth_into(h, scale, x, out):
 
 @jit()
 def _powers_into(out):
-    """Fill in the terms Gⁿ / n! of an exponential (TERMS, 12, 12), of which out[1] is given."""
+    """Fill in the terms Gⁿ / n! of an exponential (TERMS, 12, 12), with G given in out[1]."""
     for i in range(12):
         for j in range(12):
             out[0, i, j] = 1.0 if i == j else 0.0
@@ -113,5 +113,5 @@ def add_noise(h, psd, scale, x, memory, out):
 
 @jit()
 def noise_memory():
-    """What `add_noise` writes its intermediate results to."""
+    """Allocate arrays for the intermediate results of `add_noise`."""
     return np.empty((_TERMS, 12, 12)), np.empty((12, 12)), np.empty(12)

@@ -1,8 +1,8 @@
-"""Strain, wrench and weight along a loaded rod, as series in arclength, and their slopes.
+"""Strain, wrench and weight along a loaded rod, as series in arclength, and their Jacobians.
 
-Vectors stand as rows of one array and their slopes, by [weight, force, moment] where a step begins,
-in the same places of another. Both are passed whole with the places, since every part of an array
-that is taken inside a kernel costs as much as a cross product. Source: docs/math.md, equation (26).
+Vectors are rows of one array; their Jacobians, by [weight, force, moment] where a step begins, are
+the same rows of another. Both are passed whole with row numbers, since a view of an array inside a
+kernel costs as much as a cross product. Source: docs/math.md, equation (26).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from glissando._kernels.jit import jit
 
 ORDERS = 4  # of a series: a quantity and three derivatives by arclength
-ALONG, TURN, FORCE, MOMENT, WEIGHT = range(0, 5 * ORDERS, ORDERS)  # places of series
+ALONG, TURN, FORCE, MOMENT, WEIGHT = range(0, 5 * ORDERS, ORDERS)  # first rows of series
 
 
 @jit()
@@ -23,7 +23,7 @@ def cross(x, a, b, factor, c):
 
 @jit()
 def cross_slopes(x, a, slopes, b, factor, c):
-    """Add a multiple of the vector a × each column of the slope b to the slope c."""
+    """Add a multiple of the vector a × each column of the Jacobian b to the Jacobian c."""
     u, v, w = factor * x[a, 0], factor * x[a, 1], factor * x[a, 2]
     for j in range(9):
         p, q, r = slopes[b, 0, j], slopes[b, 1, j], slopes[b, 2, j]
@@ -34,7 +34,7 @@ def cross_slopes(x, a, slopes, b, factor, c):
 
 @jit()
 def turn_slopes(matrix, first, slopes, b, c):
-    """Add a matrix (3, 3), that from column `first` on, times the slope b to the slope c."""
+    """Add a part (3, 3) of a matrix from column `first` on times Jacobian b to Jacobian c."""
     for i in range(3):
         u, v, w = matrix[i, first], matrix[i, first + 1], matrix[i, first + 2]
         for j in range(9):
@@ -43,7 +43,7 @@ def turn_slopes(matrix, first, slopes, b, c):
 
 @jit()
 def series_into(stiffness, rest, rest_slope, x, slopes):
-    """Fill in strain, wrench and weight with three derivatives by arclength, and their slopes.
+    """Fill in strain, wrench and weight with three derivatives by arclength, and Jacobians.
 
     Force, moment and weight of order 0 are given. ∂W/∂s = ad(ε)ᵀ W − w_g and ∂w_g/∂s = −u × w_g are
     differentiated by Leibniz' rule.

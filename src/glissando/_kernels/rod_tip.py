@@ -1,4 +1,4 @@
-"""What a rod's tip carries beside its tool, and how that changes. Source: equation (27)."""
+"""The wrench at a rod's tip beyond its tool's weight, and its rate. Source: (27)."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
-"""Rolls of a body about its z, which leave a curve and much of what is said of it as they are.
+"""Rolls of a body about its z, which leave its curve unchanged.
 
-An error of the body frame turns with the roll. Its cost does not, where weights are alike across
-z, and yet the slope of the error by the roll is −z × error, from which Gauss–Newton takes the roll
-for known, the better the larger the error. Of an error that is turned back by the roll of its first
-node, which costs the same, a roll of all its nodes has slope zero. Source: equation (35).
+An error in the body frame rotates with the roll. Its cost does not change if weights are equal in x
+and y, but the derivative of the error by the roll is −z × error, which Gauss–Newton counts as
+information about the roll, the more of it the larger the error. An error rotated back by the roll
+of its first node has the same cost, and a zero derivative by a common roll of all nodes. Source:
+equation (35).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from glissando._kernels.scratch import matrix
 
 @jit(inline=True)
 def roll_into(pose, angle):
-    """Turn a pose (4, 4) about its own z."""
+    """Rotate a pose (4, 4) about its own z, in place."""
     c, s = cos(angle), sin(angle)
     for i in range(3):
         x, y = pose[i, 0], pose[i, 1]
@@ -28,21 +29,21 @@ def roll_into(pose, angle):
 
 @jit(inline=True)
 def roll_of(pose):
-    """The angle about z of a pose (4, 4), after a turn about an axis across z."""
+    """Roll about z of a pose (4, 4), applied after a rotation about an axis across z."""
     return atan2(pose[1, 0] - pose[0, 1], pose[0, 0] + pose[1, 1])
 
 
 @jit(inline=True)
 def transversely_isotropic(density):
-    """Whether densities (6,) are the same across z in every direction."""
+    """Whether densities (6,) are equal in x and y."""
     return density[0] == density[1] and density[3] == density[4]
 
 
 @jit()
 def turn_back(error, slopes):
-    """Make slopes (r, c, dof) those of the error (r,) turned back by the roll of the first node.
+    """Change slopes (r, c, dof) to those of the error (r,) rotated back by the first node's roll.
 
-    The error itself is the same at a roll of zero. Its numbers are three-vectors.
+    The error itself is unchanged at a roll of zero. It consists of three-vectors.
     """
     for i in range(0, len(error), 3):
         slopes[i, 0, 5] -= error[i + 1]
@@ -51,7 +52,7 @@ def turn_back(error, slopes):
 
 @jit()
 def turn_on(angle, error, slopes):
-    """Turn an error and its slopes about z, by what nodes rolled since weights were found."""
+    """Rotate an error and its slopes about z, by the roll since weights were evaluated."""
     if angle == 0.0:
         return
     c, s = cos(angle), sin(angle)
@@ -66,7 +67,7 @@ def turn_on(angle, error, slopes):
 
 @jit("(f8[::1], f8[:,::1], f8[:,:,:,::1])")
 def turn_all_back(angle, error, slopes):
-    """Both for a list of errors (M, r) with slopes (M, r, c, dof) and angles (M,)."""
+    """`turn_back` and `turn_on` of errors (M, r), slopes (M, r, c, dof) and angles (M,)."""
     for n in range(len(error)):
         turn_back(error[n], slopes[n])
         turn_on(angle[n], error[n], slopes[n])
@@ -74,7 +75,7 @@ def turn_all_back(angle, error, slopes):
 
 @jit("(f8[:,:,::1], f8[:,:,::1])")
 def rolls_between(before, after):
-    """The angles (M,) by which poses (M, 4, 4) rolled about their z."""
+    """Angles (M,), rad, by which poses (M, 4, 4) rolled about their z."""
     out, apart = np.empty(len(before)), matrix(4, 4)
     for n in range(len(before)):
         ahead_into(before[n], after[n], apart)
@@ -84,17 +85,17 @@ def rolls_between(before, after):
 
 @jit("(f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], i8)")
 def slopes_between(before, here, after, there, dof):
-    """How steps from poses (M, 4, 4) `after` go with those from `before` that led there.
+    """Jacobians of steps from poses (M, 4, 4) `after` by steps from poses `before`.
 
     Args:
-        before: Poses that rolled.
-        here: Their fields (M, f) of the body frame, which turn with them.
-        after: Where they are.
-        there: Those fields now.
-        dof: Numbers of a point, of which the first are the pose's and then these fields'.
+        before: Poses before the roll.
+        here: Body-frame fields (M, f) before the roll, which rotate with the bodies.
+        after: Poses after the roll.
+        there: Body-frame fields (M, f) after the roll.
+        dof: Degrees of freedom of a point: first those of the pose, then of these fields.
 
     Returns:
-        Slopes (M, dof, dof); see `State.slope_to`.
+        Jacobians (M, dof, dof); see `State.slope_to`.
     """
     out, angle = np.zeros((len(before), dof, dof)), rolls_between(before, after)
     for n in range(len(before)):
@@ -113,9 +114,10 @@ def slopes_between(before, here, after, there, dof):
 
 @jit("(f8[:,:,:,::1], f8[:,:,::1])")
 def transport_columns(slopes, blocks):
-    """Multiply blocks (K, R, D) on the right by the transposes of what `State.slope_to` returns.
+    """Multiply blocks (K, R, D) on the right by the transposes of results of `State.slope_to`.
 
-    In place; `slopes` (K, N, dof, dof) turn pairs of numbers and add parts of the roll, number 5.
+    In place; `slopes` (K, N, dof, dof) rotate pairs of components and add multiples of the roll,
+    which is component 5.
     """
     dof = slopes.shape[2]
     for k in range(len(slopes)):
@@ -133,7 +135,7 @@ def transport_columns(slopes, blocks):
 
 @jit("(f8[:,:,:,::1], f8[:,:,::1])")
 def transport_rows(slopes, blocks):
-    """Multiply blocks (K, D, C) on the left by what `State.slope_to` returns, in place."""
+    """Multiply blocks (K, D, C) on the left by results of `State.slope_to`, in place."""
     dof = slopes.shape[2]
     for k in range(len(slopes)):
         for n in range(slopes.shape[1]):

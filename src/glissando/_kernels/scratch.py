@@ -1,8 +1,8 @@
-"""Small arrays of fixed size on the stack, for what a kernel computes on its way.
+"""Small arrays of fixed size on the stack, for intermediate results of kernels.
 
-They cost nothing, where an array from the heap takes as long as a product of its size, and the
-compiler knows that they overlap with no other. What they hold at first is not defined unless it is
-zeros. They end with the kernel that makes them, which must not return them.
+They cost nothing, whereas an array on the heap takes as long as a product of its size, and the
+compiler knows that they overlap with no other. Their content is undefined at first unless they are
+zeros. They exist until the end of the kernel that makes them, which must not return them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 
 class StackArray:
-    """What makes arrays in a kernel, their dimensions given as literal integers."""
+    """Constructor of arrays inside kernels, with dimensions given as literal integers."""
 
     def __init__(self, rank: int, *, zeros: bool = False) -> None:
         self.rank, self.zeros = rank, zeros
@@ -24,7 +24,7 @@ class StackArray:
 
     @cached_property
     def compiled(self) -> Any:
-        """What numba takes for it."""
+        """The constructor as an intrinsic of numba."""
         from numba.extending import intrinsic
 
         typing: Any = {  # numba reads the number of arguments from the signature
@@ -36,7 +36,7 @@ class StackArray:
 
 
 def _typed(zeros: bool, *dimensions: Any) -> tuple[Any, Callable[..., Any]] | None:
-    """Type of an array of these dimensions, and what generates its code; None unless literal."""
+    """Type of an array of these dimensions and generator of its code; None unless literal."""
     from numba.core import types
 
     if not all(isinstance(each, types.IntegerLiteral) for each in dimensions):

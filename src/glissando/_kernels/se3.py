@@ -1,4 +1,4 @@
-"""SE(3) over lists of items: what `geometry.se3` computes with."""
+"""SE(3) over lists of items, for `geometry.se3`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def exp(x):
 
 @jit("(f8[:,:,::1], f8[:,::1])")
 def retract(pose, step):
-    """Poses (M, 4, 4) moved on the right by the first six numbers of steps (M, ·)."""
+    """Poses (M, 4, 4) perturbed on the right by the first six components of steps (M, ·)."""
     out, move = np.empty((len(pose), 4, 4)), np.empty((4, 4))
     for i in range(len(pose)):
         exp_into(step[i], move)
@@ -54,7 +54,7 @@ def right_jacobian(x):
 
 @jit("(f8[:,::1],)")
 def right_jacobian_inverse(x):
-    """Their inverses (M, 6, 6)."""
+    """Inverse right Jacobians (M, 6, 6) of six-vectors (M, 6)."""
     out = np.empty((len(x), 6, 6))
     for i in range(len(x)):
         right_jacobian_inverse_into(x[i], out[i])

@@ -1,6 +1,6 @@
-"""What built-in sensors read of a state: residuals and slopes. Source: equations (14) to (17).
+"""Residuals of built-in sensors, and Jacobians by the state. Source: equations (14) to (17).
 
-A sensor has a number; its readings are rows of sixteen numbers, those it does not need zeros.
+Sensors are numbered; the values of a reading are a row of up to sixteen numbers.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from glissando._kernels.scratch import matrix, vector
 
 POSE, COIL, POSITION, ORIENTATION, GYRO, STRAIN = range(6)
 ROWS = (6, 5, 3, 3, 3, 6)
-"""How many residuals a reading of each of them has."""
+"""Number of residuals of a reading of each sensor."""
 
 
 @jit()
 def _pose_into(values, sensor_pose, rolls, back, error):
-    """Error (6,) of a measured pose. A sensor that rolls is first turned to the measured roll.
+    """Error (6,) of a measured pose. A sensor that `rolls` is first rotated to the measured roll.
 
-    Its axes turn, and with them `back` (6, 6), which takes a motion of the body to one of the
-    sensor: the error is then of axes that are measured, whatever the roll of the robot.
+    This rotates its axes, and with them `back` (6, 6), the map from motions of the body to those of
+    the sensor: the error is then in the measured axes, whatever the roll of the robot.
     """
     measured, apart = matrix(4, 4), matrix(4, 4)
     for i in range(16):
@@ -50,7 +50,7 @@ def _pose_into(values, sensor_pose, rolls, back, error):
 
 @jit()
 def _pose_slopes(error, back, rolls, by_state):
-    """Slopes of that error by the pose; of one that rolls, less the roll that follows it."""
+    """Jacobian of that error by the pose; if it `rolls`, with the roll eliminated."""
     spread, whole = matrix(6, 6), matrix(6, 6)
     right_jacobian_inverse_into(error, spread)
     times_into(spread, back, whole)
@@ -62,7 +62,7 @@ def _pose_slopes(error, back, rolls, by_state):
 
 @jit()
 def _orientation_into(values, sensor_pose, back, residual, by_state):
-    """The rotation vector from the measured orientation to that of a pose, and its slopes."""
+    """Rotation vector from the measured orientation to that of a pose, and its Jacobian."""
     turn, error, spread = np.eye(4), vector(6), matrix(6, 6)
     for i in range(3):
         for j in range(3):
@@ -81,7 +81,7 @@ def _orientation_into(values, sensor_pose, back, residual, by_state):
 
 @jit()
 def sense_into(kind, values, mount, pose, strain, velocity, residual, by_state):
-    """Residual of a reading (6,) and its slope (6, 18) by the state, both into zeros."""
+    """Residual of a reading (6,) and its Jacobian (6, 18) by the state, both into zeros."""
     sensor_pose, back = matrix(4, 4), matrix(6, 6)
     if kind == STRAIN:
         for i in range(6):
@@ -113,7 +113,7 @@ def sense_into(kind, values, mount, pose, strain, velocity, residual, by_state):
 
 @jit("(i8, f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1])")
 def sense(kind, values, mount, pose, strain, velocity):
-    """Residuals (M, 6) of readings at states and their slopes (M, 6, 18); unused rows are zeros."""
+    """Residuals (M, 6) of readings at states, Jacobians (M, 6, 18); unused rows are zeros."""
     residual, by_state = np.zeros((len(values), 6)), np.zeros((len(values), 6, 18))
     for n in range(len(values)):
         sense_into(

@@ -1,7 +1,7 @@
-"""A step of states, which carries a roll of the body about its z as the symmetry it is.
+"""Steps of states, for which a roll of the body about its z is an exact symmetry.
 
-A point (pose, fields of the body frame) that rolls by φ is the same point of the same curve, its
-fields turned by −φ. A step with an angle φ about z leads there, however large the angle is; of
+A point (pose, fields of the body frame) that rolls by φ is the same point of the same curve, with
+fields rotated by −φ. A step with an angle φ about z leads there, however large the angle is; to
 first order it is a plain step. Source: equation (35).
 """
 
@@ -19,7 +19,7 @@ from glissando._kernels.scratch import matrix, vector
 
 @jit("(f8[:,:,::1], f8[:,::1])")
 def retract(pose, step):
-    """Poses (M, 4, 4) moved on the right by steps (M, ·), by their rolls last."""
+    """Poses (M, 4, 4) perturbed on the right by steps (M, ·), by their rolls last."""
     out, rest, move = np.empty((len(pose), 4, 4)), vector(6), matrix(4, 4)
     for n in range(len(pose)):
         for i in range(5):
@@ -33,7 +33,7 @@ def retract(pose, step):
 
 @jit("(f8[:,:,::1], f8[:,:,::1])")
 def difference(pose, moved):
-    """Steps (M, 6) that lead poses (M, 4, 4) to `moved` ones."""
+    """Steps (M, 6) from poses (M, 4, 4) to poses `moved`."""
     out, apart = np.empty((len(pose), 6)), matrix(4, 4)
     for n in range(len(pose)):
         ahead_into(pose[n], moved[n], apart)
@@ -46,7 +46,7 @@ def difference(pose, moved):
 
 @jit("(f8[:,::1], f8[:,::1], i8)")
 def carry(field, step, at):
-    """Fields (M, 6) of the body frame moved by steps (M, ·), of which theirs begin at column `at`.
+    """Body-frame fields (M, 6) after steps (M, ·), whose own components begin at column `at`.
 
     They become R(−φ) (field + step − field × φ) where a body rolls by φ.
     """
@@ -64,7 +64,7 @@ def carry(field, step, at):
 
 @jit("(f8[:,::1], f8[:,::1], f8[:,::1])")
 def change(field, step, moved):
-    """The steps (M, 6) of fields (M, 6) to `moved` ones, of bodies whose steps (M, ·) are known."""
+    """Steps (M, 6) from body-frame fields (M, 6) to fields `moved`, given steps of poses."""
     out = np.empty((len(field), 6))
     for n in range(len(field)):
         roll = step[n, 5]

@@ -1,4 +1,4 @@
-"""Errors of arclength steps of shapes that hold still. Source: equation (2')."""
+"""Errors of arclength steps of static shapes. Source: equation (2')."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from glissando._kernels.steps import pair_into
 
 @jit("(f8[:,:,::1], f8[:,::1], i8[:,::1], f8[::1], f8[:,::1], f8[:,::1], b1)")
 def static_steps(pose, strain, nodes, step, psd, jump, rigid):
-    """Errors (M, 12) of steps that hold still, Jacobians (M, 12, 2, 12), whiteners (M, 12, 12)."""
+    """Errors (M, 12) of static steps, Jacobians (M, 12, 2, 12), whiteners (M, 12, 12)."""
     m = len(step)
     error, jacobian, info = np.empty((m, 12)), np.zeros((m, 12, 2, 12)), np.zeros((m, 12, 12))
     back, pull, spread = matrix(6, 6), matrix(6, 6), matrix(6, 6)

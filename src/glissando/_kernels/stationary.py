@@ -1,4 +1,4 @@
-"""Intervals of arclength that are stationary processes in time. Source: (8), (10) to (12).
+"""Arclength intervals as stationary processes in time. Source: (8), (10) to (12).
 
 An interval's error has covariance k(t−t′) Q, with k of `matern` and Q (r, r).
 """
@@ -28,7 +28,7 @@ from glissando._kernels.steps import FREE, pair_point_into
 
 @jit()
 def kron_into(small, large, out):
-    """The Kronecker product of (2, 2) and (r, r)."""
+    """Kronecker product of matrices (2, 2) and (r, r)."""
     r = len(large)
     for a in range(2):
         for b in range(2):
@@ -39,7 +39,7 @@ def kron_into(small, large, out):
 
 @jit()
 def _faded_into(fade, before, now, out):
-    """What of [r; ṙ] (2 r, ·) now does not follow from what was before."""
+    """Innovation of [r; ṙ] (2 r, ·): its value now less the prediction from that before."""
     r = len(now) // 2
     for i in range(r):
         for j in range(now.shape[1]):
@@ -54,10 +54,10 @@ def chain(scale, steps, error, jacobian, cov, paired):
 
     Args:
         scale: Time scale, s.
-        steps: s.
-        error: [r; ṙ] (K, I, 2 r).
-        jacobian: (K, I, 2 r, c, dof).
-        cov: Q (K, I, r, r).
+        steps: Time steps (K−1,), s.
+        error: Errors [r; ṙ] (K, I, 2 r).
+        jacobian: Jacobians (K, I, 2 r, c, dof) of the errors.
+        cov: Covariances Q (K, I, r, r).
         paired: Whether the last block of Q is diagonal.
 
     Returns:
@@ -94,7 +94,7 @@ def chain(scale, steps, error, jacobian, cov, paired):
 
 @jit()
 def _strain_between(early, late, rest, fading, rising, strain, j0, j1):
-    """Strain (6,) by the nodes' fields (18,), and its rows of the slopes (18, 24) by both."""
+    """Strain (6,) from fields (18,) at both ends, and its rows of the Jacobians (18, 24)."""
     for i in range(6):
         strain[i] = rest[i]
         strain[i] += fading[0, 0] * (early[i] - rest[i]) + fading[0, 1] * early[12 + i]
@@ -105,19 +105,19 @@ def _strain_between(early, late, rest, fading, rising, strain, j0, j1):
 
 @jit("(f8, f8[:,:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,:,:,::1])")
 def between(scale, poses, fields, step, offset, rest, inner):
-    """States inside time steps, by those at both ends: all (M) earlier ones, then all later ones.
+    """States inside time steps, from those at both ends: M earlier ones, then M later ones.
 
     Args:
         scale: Time scale, s.
         poses: Poses (2 M, 4, 4) at the ends.
         fields: Strain, velocity and strain rate (2 M, 18) at the ends.
         step: Lengths (M,), s.
-        offset: Places (M,) inside the steps, s.
-        rest: Strain (M, 6) that is expected.
-        inner: Slopes (2 M, 24, c, dof) of the ends by their nodes.
+        offset: Times (M,) since the beginnings of the steps, s.
+        rest: Expected strain (M, 6).
+        inner: Jacobians (2 M, 24, c, dof) of the ends by their nodes.
 
     Returns:
-        Poses, strains and velocities; slopes (M, 18, 2 c, dof) by all nodes; Σ_t (M, 2, 2).
+        Poses, strains and velocities; Jacobians (M, 18, 2 c, dof) by all nodes; Σ_t (M, 2, 2).
     """
     m, c, dof = len(step), inner.shape[2], inner.shape[3]
     pose, strain, velocity = np.empty((m, 4, 4)), np.empty((m, 6)), np.empty((m, 6))
@@ -142,14 +142,14 @@ def between(scale, poses, fields, step, offset, rest, inner):
 
 @jit("(f8, f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1])")
 def left_over(scale, velocity, through, section, along):
-    """What nodes leave uncertain of the state at points, Σ_s ⊗ P∞ + (K_s − Σ_s) ⊗ Σ_t. (12).
+    """Bridge covariance of the state at points, Σ_s ⊗ P∞ + (K_s − Σ_s) ⊗ Σ_t. (12).
 
     Args:
         scale: Time scale, s.
-        velocity: Of the body (M, 6).
-        through: Σ_t (M, 2, 2).
-        section: K_s (M, 12, 12).
-        along: Σ_s (M, 12, 12).
+        velocity: Velocity (M, 6) of the body.
+        through: Bridge covariance along time, Σ_t (M, 2, 2).
+        section: Prior covariance of the cross-section, K_s (M, 12, 12).
+        along: Bridge covariance along arclength, Σ_s (M, 12, 12).
 
     Returns:
         Covariances (M, 18, 18) of pose, strain and the body's velocity.
@@ -185,14 +185,14 @@ def sections(strain, lengths, psd, jump, base, k, n, offset):
     """Prior covariances K_s (M, 12, 12) of cross-sections along the shapes at time nodes.
 
     Args:
-        strain: At nodes (K, N, 6).
-        lengths: Of intervals (N−1,), m.
+        strain: Strain (K, N, 6) at nodes.
+        lengths: Lengths (N−1,) of intervals, m.
         psd: Densities (N−1, 6) of strain.
         jump: Variances (N−1, 6) of strain's jump at the end of intervals.
         base: Covariance (12, 12) at the base.
         k: Time nodes (M,).
         n: Arclength nodes (M,).
-        offset: Places beyond those (M,), m; zero on a node.
+        offset: Distances (M,) beyond these nodes, m; zero on a node.
     """
     count, first = len(lengths), k.min()
     known = np.zeros(k.max() + 1 - first, np.bool_)

@@ -1,4 +1,4 @@
-"""Errors of steps between two nodes, and the point inside a step.
+"""Errors of steps between two nodes, and states inside steps.
 
 A step goes along arclength, where the pose moves by its strain and the velocity is carried rigidly,
 or along time, where the pose moves by its velocity and the strain stays: `rigid` says which. `at`
@@ -35,14 +35,14 @@ from glissando._kernels.process import (
 from glissando._kernels.rolls import transversely_isotropic, turn_back, turn_on
 from glissando._kernels.scratch import matrix, vector
 
-RIGID, FREE = np.True_, np.False_  # for literals numba would compile a second time
+RIGID, FREE = np.True_, np.False_  # not literals, for which numba would compile a second time
 
 
 @jit()
 def pair_into(start, end, rate0, rate1, step, error, back, pull, spread):
-    """Error (12,) of a step; its Jacobian is [back, pull; 0, −1] at the start, [spread, 0; 0, 1].
+    """Error (12,) of a step in the order [pose, rate], and blocks (6, 6) of its Jacobians.
 
-    In the order [pose, rate]; the three blocks (6, 6) are written.
+    These are [back, pull; 0, −1] by the start and [spread, 0; 0, 1] by the end.
     """
     scaled, xi = vector(6), vector(6)
     ahead, miss, pose = matrix(4, 4), matrix(4, 4), matrix(4, 4)
@@ -100,7 +100,7 @@ def step_into(
     pose0, pose1, rate0, rate1, field0, field1, about0, about1, step, weight, psd, carried_psd,
     jump, rigid, error, slopes, info, lost, lost_slopes, lost_info,
 ):  # fmt: skip
-    """Errors (12,), (6,) of a step, slopes (r, 2, 18), whiteners (r, r); the pair's into zeros."""
+    """Errors (12,), (6,) of a step, Jacobians (r, 2, 18), whiteners; the pair's into zeros."""
     at, carried_at = (6, 12) if rigid else (12, 6)
     back, pull, spread = matrix(6, 6), matrix(6, 6), matrix(6, 6)
     middle, cov, carried_cov = vector(6), matrix(12, 12), matrix(6, 6)
@@ -140,9 +140,9 @@ def step_into(
 def weighted_steps(
     pose, rates, fields, about, nodes, step, weight, psd, carried_psd, jump, rigid, angle
 ):  # fmt: skip
-    """Errors of pair and carried, Jacobians (M, r, 2, 18) and whiteners (M, r, r).
+    """Errors of pair and carried field, Jacobians (M, r, 2, 18) and whiteners (M, r, r).
 
-    Nodes rolled by `angle` (L,) since their rates were those that weights are `about`.
+    `angle` (L,) are rolls of nodes since their rates were `about`, at which weights are evaluated.
     """
     m = len(step)
     error, lost = np.empty((m, 12)), np.empty((m, 6))
@@ -167,7 +167,7 @@ def weighted_steps(
 
 @jit()
 def _pair_covariance(turn, cov, at, left):
-    """Covariance of pose and rate given both ends, of a pose that `turn` bends, into zeros."""
+    """Bridge covariance of pose and rate, into zeros; `turn` is J_r of the pose's bend."""
     half, square = matrix(6, 12), matrix(6, 6)
     product(turn, cov[0:6], half, 1.0, 0.0, False, False)
     product(half[:, 0:6], turn, square, 1.0, 0.0, False, True)
@@ -180,9 +180,9 @@ def _pair_covariance(turn, cov, at, left):
 
 @jit()
 def _onward(start, rate, offset, delta, pose, turn, back, pull):
-    """Pose at `offset` along a rate from `start` and then bent by `delta` (12,), and its slopes.
+    """Pose at `offset` along a rate from `start`, perturbed by `delta` (12,), and its Jacobians.
 
-    By the bend (`turn`), the start (`back`) and the rate (`pull`), all (6, 6).
+    They are by `delta` (`turn`), the start (`back`) and the rate (`pull`), all (6, 6).
     """
     ahead, bend, end = matrix(4, 4), matrix(4, 4), matrix(4, 4)
     unbend, a, scaled = matrix(6, 6), matrix(6, 6), vector(6)
@@ -205,9 +205,9 @@ def _onward(start, rate, offset, delta, pose, turn, back, pull):
 
 @jit()
 def pair_point_into(start, end, rate0, rate1, step, offset, gain, at, pose, rate, turn, j0, j1):
-    """Pose and rate at `offset` into a step; their rows of the slopes (18, ·) by both ends.
+    """Pose and rate at `offset` into a step; their rows of the Jacobians (18, ·) by both ends.
 
-    T(u) = T₀ exp(u rate₀) exp(δ), with [δ; δ_rate] = gain e, `gain` (12, 12); the slopes come as
+    T(u) = T₀ exp(u rate₀) exp(δ), with [δ; δ_rate] = gain e, `gain` (12, 12); the Jacobians come as
     zeros, and J_r(δ) is written to `turn`.
     """
     error, delta = vector(12), vector(12)
@@ -237,7 +237,7 @@ def pair_point_into(start, end, rate0, rate1, step, offset, gain, at, pose, rate
 
 @jit()
 def _transport(pose, start, field0, at, field, j0, j1, left):
-    """Add the field transported from the start of a step to a pose, which turns it."""
+    """Add the field transported rigidly from the start of a step to a pose, with Jacobians."""
     end, transport = matrix(4, 4), matrix(6, 6)
     curl, lean, moved = matrix(6, 6), matrix(6, 6), vector(6)
     ahead_into(pose, start, end)
@@ -251,7 +251,7 @@ def _transport(pose, start, field0, at, field, j0, j1, left):
             j0[at + i, j] -= lean[i, j]
             j0[at + i, at + j] += transport[i, j]
     ad_into(moved, curl)
-    for rows in (j0, j1, left):  # what is transported turns with the pose
+    for rows in (j0, j1, left):  # a transported field rotates with the pose
         product(curl, rows[0:6], rows[at : at + 6], 1.0, 1.0, False, False)
     product(left[:, 0:6], curl, left[:, at : at + 6], 1.0, 1.0, False, True)
 
@@ -260,7 +260,7 @@ def _transport(pose, start, field0, at, field, j0, j1, left):
 def _carried_point(
     start, end, field0, field1, pose, rigid, gain, cov, at, field, j0, j1, left
 ):  # fmt: skip
-    """The carried field at a pose inside a step, with its rows of slopes and covariance."""
+    """Carried field at a pose inside a step, with its rows of Jacobians and covariance."""
     for i in range(6):
         for j in range(6):
             left[at + i, at + j] = cov[i, j]
@@ -283,7 +283,7 @@ def bridged_into(
     start, end, rate0, rate1, field0, field1, step, offset, about, psd, carried_psd, jump,
     rigid, pose, rate, field, j0, j1, left,
 ):  # fmt: skip
-    """State inside a step; slopes (18, 18) by both ends and covariance given both, into zeros."""
+    """State inside a step; Jacobians (18, 18) by both ends, bridge covariance, into zeros."""
     at, carried_at = (6, 12) if rigid else (12, 6)
     gain, cov, turn = matrix(12, 12), matrix(12, 12), matrix(6, 6)
     carried_gain, carried_cov = matrix(6, 6), matrix(6, 6)

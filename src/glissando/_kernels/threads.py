@@ -1,4 +1,4 @@
-"""BLAS on one thread: more only fight over blocks as small as ours."""
+"""BLAS on one thread: more threads are slower for blocks as small as these."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _NOTHING = nullcontext()
 
 @cache
 def _controller() -> ThreadpoolController:
-    """What controls numpy's BLAS and scipy's, which kernels call and which is loaded for it."""
+    """Controller of the BLAS of numpy and of scipy, which kernels call and which is loaded."""
     import scipy.linalg  # noqa: F401
 
     return ThreadpoolController().select(user_api="blas")
 
 
 def one_thread() -> AbstractContextManager[None]:
-    """Hold BLAS to one thread while the context lasts; it costs nothing where it is already.
+    """Limit BLAS to one thread while the context lasts; nested contexts cost nothing.
 
     OpenBLAS takes the number from the main thread alone: elsewhere set OPENBLAS_NUM_THREADS=1.
     """

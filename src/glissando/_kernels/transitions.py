@@ -1,4 +1,4 @@
-"""What intervals that are processes in time ask of their noise, bridges and points inside."""
+"""Process noise and bridges of lists of intervals, for `model.priors.transitions`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from glissando._kernels.scratch import matrix
 
 @jit("(f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], b1)")
 def process_covariances(rate, step, psd, carried_psd, jump, rigid):
-    """Noise (M, 12, 12) and (M, 6, 6) of intervals."""
+    """Process noise of intervals: of the pair (M, 12, 12), of the carried field (M, 6, 6)."""
     cov, carried = np.empty((len(rate), 12, 12)), np.empty((len(rate), 6, 6))
     for i in range(len(rate)):
         process_into(rate[i], step[i], psd[i], carried_psd[i], jump[i], rigid, cov[i], carried[i])
@@ -20,7 +20,7 @@ def process_covariances(rate, step, psd, carried_psd, jump, rigid):
 
 @jit("(f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], b1)")
 def bridge(rate, step, offset, psd, jump, rigid):
-    """Gains and covariances (M, 12, 12) of the pair, whatever is carried."""
+    """Gains and bridge covariances (M, 12, 12) of the pair."""
     m = len(rate)
     gain, cov = np.empty((m, 12, 12)), np.empty((m, 12, 12))
     unused, unused_too = matrix(6, 6), matrix(6, 6)

@@ -1,8 +1,8 @@
-"""The white-noise prior on a grid: its factors summed, and those of readings between its nodes.
+"""The white-noise prior on a grid: sums of its factors, and of readings between its nodes.
 
 Nodes are (K, N) of time and arclength; `along` (N−1, 3, 6) and `through` (K−1, 3, 6) are densities
 of the steps between them: of the moving field, of the carried one, and the variance of a jump.
-`spans` are what each node stands for. Source: equations (3') to (5), (10) to (13).
+`spans` are those that nodes represent. Source: equations (3') to (5), (10) to (13).
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from glissando._kernels.steps import step_into
 from glissando._kernels.white_noise_points import STATE, lines, point_into
 
 _NEAR = 1e-9  # of a step: points that close to a node lie on it
-_UNKNOWN = np.False_  # for a literal numba would compile points a second time
+_UNKNOWN = np.False_  # not a literal, for which numba would compile points a second time
 HUBER, GEMAN_MCCLURE = 1.0, 2.0
-"""Numbers of losses in the rows of readings; zero is none."""
+"""Numbers of robust losses in the rows of readings; zero stands for none."""
 WIDTH = 21
-"""Numbers of a row."""
+"""Length of a row."""
 
 
 @jit()
 def _base_into(pose, strain, velocity, base_pose, rest, error, slopes):
-    """Error (18,) of a node from where it stands and rests; slopes (18, 1, 18) into zeros."""
+    """Error (18,) of the base from its expected state; Jacobian (18, 1, 18) into zeros."""
     apart, spread = matrix(4, 4), matrix(6, 6)
     ahead_into(base_pose, pose, apart)
     log_into(apart, error[:6])
@@ -51,7 +51,7 @@ def add_prior(
     arclength, time, arclength_spans, time_spans, pose, strain, velocity, along, through,
     base_pose, rest, base, begin, end, across, rhs_begin, rhs_end,
 ):  # fmt: skip
-    """Add all factors between nodes, and those of a base of densities (18,), if it has any."""
+    """Add all factors between nodes, and of the base if its densities (18,) are not empty."""
     k_count, n_count = strain.shape[:2]
     error, slopes, info = vector(12), zero_cube(12, 2, 18), zero_matrix(12, 12)
     lost, lost_slopes, lost_info = vector(6), cube(6, 2, 18), matrix(6, 6)
@@ -97,7 +97,7 @@ def add_prior(
 
 @jit()
 def _cell(nodes, value):
-    """Lower node, step and offset of a value among nodes; what is next to a node lies on it."""
+    """Lower node, step and offset of a value among nodes; one next to a node is put on it."""
     if len(nodes) == 1:
         return 0, 0.0, 0.0
     n = 0
@@ -114,7 +114,7 @@ def _cell(nodes, value):
 
 @jit()
 def _weight(loss, threshold, whitener, residual):
-    """Weight of a reading under its loss."""
+    """Robust weight of a reading."""
     if loss == 0.0:
         return 1.0
     white = vector(6)
@@ -133,7 +133,7 @@ def _weight(loss, threshold, whitener, residual):
 def write_rows(
     rows, mounts, covs, first, sensor, loss, threshold, time, arclength, values, mount, cov
 ):  # fmt: skip
-    """Write readings of a sensor as rows from `first` on; one mount and covariance, or each."""
+    """Write readings of a sensor as rows from `first` on; one mount and covariance, or one each."""
     m, r = len(time), cov.shape[1]
     width = len(values) // m
     for i in range(m):
@@ -159,9 +159,9 @@ def add_readings(
     """Add the factors of readings, and return them.
 
     A row (21,) is time, arclength, sensor, loss and its threshold, then the values; `mounts` are
-    (·, 4, 4) and `covs` (·, 6, 6). Factors of `which` (M,) rows and their weights (M,) are
-    returned: nodes (M, 4), slopes (M, 6, 4, 18), residuals (M, 6) and whiteners; what one does not
-    need of nodes and residuals is zero.
+    (·, 4, 4) and `covs` (·, 6, 6). Factors of the rows `which` (M,) are returned: nodes (M, 4),
+    Jacobians (M, 6, 4, 18), residuals (M, 6), whiteners (M, 6, 6) and robust weights (M,); unused
+    nodes and residuals are zero.
     """
     m, n_count = len(which), len(arclength)
     nodes, slopes = np.zeros((m, 4), np.int64), np.zeros((m, 6, 4, 18))

@@ -1,4 +1,4 @@
-"""The state between nodes of the white-noise prior, given them. Source: equations (10) to (12).
+"""States between nodes of the white-noise prior, conditional on them. Source: (10) to (12).
 
 Arrays are those of `white_noise`.
 """
@@ -18,7 +18,7 @@ STATE = "f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1]"
 
 @jit()
 def _carry(slope, inner, left, jacobian, first, cov):
-    """Slopes by the ends (18, 18) of an arclength step, and its covariance, through `slope`."""
+    """Apply a Jacobian `slope` to Jacobians (18, 18) and covariance of an arclength step."""
     through, wide = matrix(18, 18), matrix(18, 18)
     for i in range(2):
         product(slope, inner[i], through, 1.0, 0.0, False, False)
@@ -31,7 +31,7 @@ def _carry(slope, inner, left, jacobian, first, cov):
 
 @jit()
 def _bridge_rate(k, n, share, about, out):
-    """The velocity about which a time step is linearised that begins at node k between nodes n."""
+    """Velocity at which the time step from node k, beyond arclength node n, is linearised."""
     for i in range(6):
         out[i] = 0.5 * (about[k, n, i] + about[k + 1, n, i])
         if share > 0.0:
@@ -45,7 +45,7 @@ def _on_line(
 ):
     """Pose, strain and velocity at time node k, in interval n of arclength or on a node.
 
-    Slopes (2, 18, 18) by both nodes and covariance (18, 18) are written into zeros.
+    Jacobians (2, 18, 18) by both nodes and covariance (18, 18) are written into zeros.
     """
     if not 0.0 < offset < step:
         copy_into(pose[k, n], point)
@@ -70,7 +70,7 @@ def _on_line(
 def _between(
     n, share, k, step, offset, about, given, spans, poses, fields, slopes, around
 ):  # fmt: skip
-    """The state between two time nodes, third of all arrays, by those there, the first two."""
+    """State between two time nodes, the third of all arrays, from those there, the first two."""
     density, middle, span = matrix(3, 6), vector(6), spans[n]
     _bridge_rate(k, n, share, about, middle)
     if share > 0.0:
@@ -87,7 +87,7 @@ def _between(
 
 @jit()
 def lines():
-    """Room for states at the two time nodes of a cell, and between: what `point_into` works in."""
+    """Allocate scratch of `point_into`: states at both time nodes of a cell, and between."""
     fields, slopes, around = np.empty((3, 2, 6)), np.empty((3, 2, 18, 18)), np.empty((3, 18, 18))
     return np.empty((3, 4, 4)), fields, slopes, around
 
@@ -97,11 +97,11 @@ def point_into(
     n, ds, us, k, dt, ut, pose, strain, velocity, about_strain, about_velocity, along, through,
     arclength_spans, time_spans, room, known, point, bend, motion, nodes, jacobian, left,
 ):  # fmt: skip
-    """State in a cell; nodes (c,), slopes (18, c, 18) and covariance (18, 18) into zeros.
+    """State in a cell; nodes (c,), Jacobian (18, c, 18) and covariance (18, 18) into zeros.
 
-    Lower node, step and offset along arclength and time say where. Along arclength at one time node
-    or both, which are in `room` already where they are `known`, then along time. Returns how many
-    nodes it depends on.
+    Lower node, step and offset along arclength and time give the point. States are interpolated
+    along arclength at one or both time nodes, unless `known` and in `room` already, then along
+    time. Returns the number of nodes on which the state depends.
     """
     n_count, inside_s, inside_t = strain.shape[1], 0.0 < us < ds, 0.0 < ut < dt
     n += us >= ds > 0.0
@@ -147,7 +147,7 @@ def points(
     lower, cell, pose, strain, velocity, about_strain, about_velocity, along, through,
     arclength_spans, time_spans, touched,
 ):  # fmt: skip
-    """States at points that depend on as many nodes, slopes by these, covariances given them.
+    """States at points that depend on `touched` nodes each, Jacobians, bridge covariances.
 
     `lower` (M, 2) are their cells' lower nodes and `cell` (M, 2, 2) the cells' steps and offsets,
     each along arclength and time.

@@ -1,10 +1,11 @@
 """The normal equations of a sliding window: summed, eliminated slab by slab, solved.
 
-`blocks` (5, ·, D, D) hold of every slab what its interval adds to it, what all older slabs say of
-it, what its interval couples to the next, and of the factor the inverse and the coupling. `vectors`
-(4, ·, D) hold the right-hand sides of the first two, their sum solved forward, and the diagonal of
-the second before older slabs were eliminated. Slabs lie in any order: `slot` (K,) says where, so
-that none is ever moved; of symmetric blocks the lower half counts. Source: equations (19) and (20).
+For every slab `blocks` (5, ·, D, D) hold the sum of its own interval, the information from all
+older slabs, the coupling of its interval to the next slab, and inverse and coupling of the factor.
+`vectors` (4, ·, D) hold the right-hand sides of the first two, their sum solved forward, and the
+diagonal of the second before older slabs are eliminated. Slabs are stored in any order, at `slot`
+(K,), so that none is ever moved; only lower halves of symmetric blocks are used. Source: equations
+(19) and (20).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ AHEAD, BEHIND, SOLVED, SCALE = range(4)
 
 @jit()
 def _known(blocks, vectors, own, older, end, rhs_end):
-    """What older slabs say of one, by the sums at the end of the interval that leads to it."""
+    """Information on a slab from older slabs, with the sums at the end of the last interval."""
     known, behind, coupling = blocks[KNOWN, own], vectors[BEHIND, own], blocks[COUPLING, older]
     for a in range(len(behind)):
         behind[a], vectors[SCALE, own, a] = rhs_end[a], end[a, a]
@@ -43,7 +44,7 @@ def _known(blocks, vectors, own, older, end, rhs_end):
 
 @jit()
 def _sum(blocks, vectors, own, begin, rhs_begin, schur, scale):
-    """Sum a slab to `schur`, in the lower half, and its right-hand side."""
+    """Sum the matrix of a slab, into the lower half of `schur`, and its right-hand side."""
     known, own_sum = blocks[KNOWN, own], blocks[BEGIN, own]
     for a in range(len(scale)):
         scale[a] = begin[a, a] + vectors[SCALE, own, a]
@@ -55,9 +56,9 @@ def _sum(blocks, vectors, own, begin, rhs_begin, schur, scale):
 
 @jit(f"(f8[:,:,:,::1], f8[:,:,::1], i8[::1], i8, {SUMS}, f8[:,::1])")
 def solve(blocks, vectors, slot, start, begin, end, across, rhs_begin, rhs_end, step):
-    """Eliminate from slab `start` on, by the sums of its interval and later ones; solve for `step`.
+    """Eliminate from slab `start` on, with sums of intervals from there on; solve for `step`.
 
-    The step (K, D) is that of all slabs. Returns what `factor` does.
+    The step (K, D) is that of all slabs. Returns the same as `block_tridiagonal.factor`.
     """
     d, count, vanished = begin.shape[1], len(slot), -1
     schur, scale, first = np.zeros((d, d)), np.empty(d), np.empty(d, np.int64)
@@ -81,7 +82,7 @@ def solve(blocks, vectors, slot, start, begin, end, across, rhs_begin, rhs_end, 
 
 @jit()
 def _backward(blocks, solved, slot, step):
-    """The solution (K, D) of what is solved forward (·, D)."""
+    """Backward substitution into `step` (K, D), from vectors solved forward (·, D)."""
     count = len(slot)
     for k in range(count - 1, -1, -1):
         own = slot[k]
@@ -94,10 +95,10 @@ def _backward(blocks, solved, slot, step):
 
 @jit("(f8[:,:,:,::1], f8[:,:,::1], i8[::1], i8, f8[:,::1], f8[:,::1], f8[:,::1])")
 def respond(blocks, vectors, slot, start, rhs_begin, rhs_end, step):
-    """Solve for another right-hand side, by the factor there is.
+    """Solve for another right-hand side with the present factor.
 
-    `vectors` (2, ·, D) keep what older slabs say of each and its sum solved forward; the sums
-    (K − start, D) are those of the intervals from slab `start` on, `step` (K, D) is the solution.
+    `vectors` (2, ·, D) keep, for each slab, the part of older slabs and the sum solved forward; the
+    sums (K − start, D) are of the intervals from slab `start` on, `step` (K, D) is the solution.
     """
     behind, solved = vectors[0], vectors[1]
     for k in range(start, len(slot)):
@@ -114,7 +115,7 @@ def respond(blocks, vectors, slot, start, rhs_begin, rhs_end, step):
 
 @jit("(f8[:,::1], i8, i8, i8)")
 def node_covariances(root, n_count, dof, size):
-    """Covariances (N, size, size) of the first numbers of nodes of `dof`; rootᵀ root is theirs."""
+    """Covariances (N, size, size) of the first components of nodes of `dof`, of rootᵀ root."""
     out = np.empty((n_count, size, size))
     for n in range(n_count):
         at = n * dof
@@ -125,9 +126,9 @@ def node_covariances(root, n_count, dof, size):
 
 @jit("(f8[:,::1], f8[:,::1], i8, i8)")
 def missed(root, step, n_count, dof):
-    """Half the length of the newest step, in standard deviations, times the largest bend of any.
+    """Size of neglected curvature: half the newest step, in std, times the largest rotation.
 
-    A roll, however large, is no bend (35).
+    Both are largest components; a roll, however large, does not count as a rotation (35).
     """
     turn = length = 0.0
     for k in range(len(step)):
