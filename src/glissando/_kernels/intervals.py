@@ -128,7 +128,7 @@ def interval_error(pose0, pose1, fields0, fields1, step):
 
 
 @jit()
-def _spread(gain, turn, curl, e, d, out):
+def _jacobian_through_error(gain, turn, curl, e, d, out):
     """Jacobian (24, 24) at the point by one end, through the interval's error."""
     for half in (0, 12):
         product(gain, e[half : half + 12], d[half : half + 12], 1.0, 0.0, False, False)
@@ -220,7 +220,7 @@ def interval_between(pose0, pose1, fields0, fields1, step, offset, gain, whole, 
         for i in range(6):
             for j in range(6):
                 curl[i, j] += slope[i, j]
-        _spread(gain[n], turn, curl, e0, d, j0[n])
-        _spread(gain[n], turn, curl, e1, d, j1[n])
+        _jacobian_through_error(gain[n], turn, curl, e0, d, j0[n])
+        _jacobian_through_error(gain[n], turn, curl, e1, d, j1[n])
         _add_own_slopes(u, scaled, rate0, carried, stretch, unbend, back, j0[n])
     return pose, fields, j0, j1

@@ -163,8 +163,8 @@ def _dispatchers() -> Path:
     config.CACHE_DIR = str(folder)
     try:
         for kernel in kernels:
-            doors = {"no_cfunc_wrapper": True, "no_cpython_wrapper": not kernel.signatures}
-            options: dict[str, Any] = {**doors, "fastmath": {"contract", "reassoc", "nsz"}}
+            wrappers = {"no_cfunc_wrapper": True, "no_cpython_wrapper": not kernel.signatures}
+            options: dict[str, Any] = {**wrappers, "fastmath": {"contract", "reassoc", "nsz"}}
             options |= {"error_model": "numpy", "forceinline": kernel.inline}
             options["cache"] = bool(kernel.signatures)  # processes would overwrite what they share
             kernel.compiled = numba.njit(**options)(kernel.function)
@@ -194,7 +194,7 @@ def _compile_once(kernels: list[Kernel], folder: Path) -> None:
             missing = _missing(kernels, folder)  # another process may have compiled them meanwhile
             with tempfile.TemporaryDirectory(dir=folder) as claims:
                 count = min(os.cpu_count() or 1, _PROCESSES, len(missing))
-                for process in [_compiling(claims, missing, folder) for _ in range(count)]:
+                for process in [_start_compiler(claims, missing, folder) for _ in range(count)]:
                     if process is not None:
                         process.wait()
             done = _on_disk(folder)
@@ -230,7 +230,7 @@ def _locked(folder: Path) -> Iterator[None]:
         yield
 
 
-def _compiling(claims: str, names: list[str], folder: Path) -> subprocess.Popen[bytes] | None:
+def _start_compiler(claims: str, names: list[str], folder: Path) -> subprocess.Popen[bytes] | None:
     """Start a process that compiles into the cache; None inside a program other than Python."""
     if "python" not in Path(sys.executable or "").name.lower():
         return None

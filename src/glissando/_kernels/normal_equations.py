@@ -30,7 +30,7 @@ def _is_zero(jacobian, node, first, last):
 
 
 @jit(inline=True)
-def _is_none(slopes, width):
+def _begins_with_zeros(slopes, width):
     """Whether a Jacobian is zero in its first columns."""
     for y in range(len(slopes)):
         for x in range(width):
@@ -52,7 +52,7 @@ def _groups(nodes, first_dof, jacobian, extras, n_count, dof, count, groups):
     e = extras.shape[1] // 2
     k, filled, ahead = nodes[0] // n_count, 0, 0
     if e and 0 < k == count - 1:  # slopes by parameters are of the interval that ends there
-        ahead = 1 if _is_none(extras, e) else 0
+        ahead = 1 if _begins_with_zeros(extras, e) else 0
         k -= 1 - ahead
     for a in range(c):
         slab = nodes[a] // n_count
@@ -114,7 +114,7 @@ def _whitened(sqrt_info, jacobian, extras, residual, groups, filled, slopes, whi
 
 
 @jit(inline=True)
-def _pull(weight, miss, white, first, columns, rhs, k, at):
+def _subtract_gradient(weight, miss, white, first, columns, rhs, k, at):
     """Subtract Jᵀr of a group, whitened and weighted, from a right-hand side."""
     if columns == 6:
         column, a, b, c, d, e, f = np.uint64(first), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -174,7 +174,7 @@ def add_factor(
     product(live, live, square[:width, :width], 1.0, 0.0, True, False)
     for a in range(filled):
         late, at, height, column = room[a, 0], room[a, 1], room[a, 2], 0
-        _pull(weight, miss, white, row, height, rhs_end if late else rhs_begin, k, at)
+        _subtract_gradient(weight, miss, white, row, height, rhs_end if late else rhs_begin, k, at)
         for b in range(filled):
             beside, wide = room[b, 1], room[b, 2]
             if room[b, 0] <= late:
@@ -232,7 +232,7 @@ def squared_innovations(
         width = _whitened(
             sqrt_info[i], jacobian[i], extras[i], residual[i], room, filled, slopes, white, miss[n]
         )
-        live, first = _live(white[:, :width], miss[n]), min(first, k)
+        live, first = _nonzero_rows(white[:, :width], miss[n]), min(first, k)
         begins[n + 1] = begins[n] + live
         for g in range(filled):
             slab, at = k + room[g, 0], room[g, 1]
@@ -245,7 +245,7 @@ def squared_innovations(
 
 
 @jit(inline=True)
-def _live(white, miss):
+def _nonzero_rows(white, miss):
     """Number of rows before those at the end that are zero in Jacobian and residual."""
     live = len(white)
     while live > 1 and miss[live - 1] == 0.0 and not white[live - 1].any():

@@ -33,7 +33,7 @@ _NOISELESS = np.False_  # not a literal, for which numba would compile flows a s
 
 
 @jit()
-def _act(rod, fields0, fields1, half, acting):
+def _loads_into(rod, fields0, fields1, half, acting):
     """Weight and its change a metre (2, 3), with inertia between two nodes. Source: (32)."""
     for i in range(3):
         acting[0, i], acting[1, i] = rod[WEIGHT + i], rod[WEIGHT_SLOPE + i]
@@ -44,7 +44,7 @@ def _act(rod, fields0, fields1, half, acting):
 
 
 @jit()
-def _reach(pose, fields, rod, length, made, acting, memory, out):
+def _undisturbed_end(pose, fields, rod, length, made, acting, memory, out):
     """Pose and strain at the end of an undisturbed rod, Jacobians by pose and strain, by weight.
 
     `made` (2, 6) are stiffness and rest strain at the end.
@@ -97,10 +97,10 @@ def _still(nodes, rod, half, work, error, slopes):
     pose0, fields0, pose1, fields1 = nodes
     memory, out, acting, made, six, end_pose, miss, matrix, _, _ = work
     ahead, strain, phi, _, by_weight = out
-    _act(rod, fields0, fields1, half, acting)
+    _loads_into(rod, fields0, fields1, half, acting)
     for i in range(6):
         made[0, i], made[1, i] = rod[END_STIFFNESS + i], rod[END_REST + i]
-    _reach(pose0, fields0, rod, rod[STEP], made, acting, memory, out)
+    _undisturbed_end(pose0, fields0, rod, rod[STEP], made, acting, memory, out)
     compose_into(pose0, ahead, end_pose)
     ahead_into(end_pose, pose1, miss)
     log_into(miss, six)
@@ -147,7 +147,7 @@ def _still_inside(nodes, rod, half, offset, gain, work, point, slopes):
             strain[i] += gain[6 + i, k] * error[k]
         made[0, i] = rod[STIFFNESS + i]
         made[1, i] = rod[REST + i] + offset * rod[REST_SLOPE + i]
-    _reach(pose0, fields0, rod, offset, made, acting, memory, out)
+    _undisturbed_end(pose0, fields0, rod, offset, made, acting, memory, out)
     ahead, reached, phi, _, by_weight = out
     exp_into(six, bend)
     compose_into(pose0, ahead, begin)

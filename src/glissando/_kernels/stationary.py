@@ -38,7 +38,7 @@ def kron_into(small, large, out):
 
 
 @jit()
-def _faded_into(fade, before, now, out):
+def _innovation_into(fade, before, now, out):
     """Innovation of [r; ṙ] (2 r, ·): its value now less the prediction from that before."""
     r = len(now) // 2
     for i in range(r):
@@ -75,8 +75,8 @@ def chain(scale, steps, error, jacobian, cov, paired):
         for i in range(count):
             n = k * count + i
             before, now = error[k, i].reshape(rows, 1), error[k + 1, i].reshape(rows, 1)
-            _faded_into(fade, before, now, out[n])
-            _faded_into(fade, inner[k, i], none, slopes[n, :, 0])
+            _innovation_into(fade, before, now, out[n])
+            _innovation_into(fade, inner[k, i], none, slopes[n, :, 0])
             for y in range(rows):
                 for x in range(wide):
                     slopes[n, y, 1, x] = inner[k + 1, i, y, x]

@@ -98,7 +98,7 @@ def _carried(start, end, field0, field1, at, rigid, error, j0, j1):
 @jit()
 def step_into(
     pose0, pose1, rate0, rate1, field0, field1, about0, about1, step, weight, psd, carried_psd,
-    jump, rigid, error, slopes, info, lost, lost_slopes, lost_info,
+    jump, rigid, error, slopes, info, carried_error, carried_slopes, carried_info,
 ):  # fmt: skip
     """Errors (12,), (6,) of a step, Jacobians (r, 2, 18), whiteners; the pair's into zeros."""
     at, carried_at = (6, 12) if rigid else (12, 6)
@@ -106,31 +106,31 @@ def step_into(
     middle, cov, carried_cov = vector(6), matrix(12, 12), matrix(6, 6)
     c0, c1 = matrix(6, 18), matrix(6, 18)
     pair_into(pose0, pose1, rate0, rate1, step, error, back, pull, spread)
-    _carried(pose0, pose1, field0, field1, carried_at, rigid, lost, c0, c1)
+    _carried(pose0, pose1, field0, field1, carried_at, rigid, carried_error, c0, c1)
     for i in range(6):
         for j in range(6):
             slopes[i, 0, j], slopes[i, 0, at + j] = back[i, j], pull[i, j]
             slopes[i, 1, j] = spread[i, j]
         slopes[6 + i, 0, at + i], slopes[6 + i, 1, at + i] = -1.0, 1.0
         for j in range(18):
-            lost_slopes[i, 0, j], lost_slopes[i, 1, j] = c0[i, j], c1[i, j]
+            carried_slopes[i, 0, j], carried_slopes[i, 1, j] = c0[i, j], c1[i, j]
     middle_into(about0, about1, step, psd, jump, middle)
     process_into(middle, step, psd, carried_psd, jump, rigid, cov, carried_cov)
     pair_whiten_into(cov, info)
-    whiten_into(carried_cov, lost_info)
+    whiten_into(carried_cov, carried_info)
     for i in range(12):
         for j in range(12):
             info[i, j] *= weight
     for i in range(6):
         for j in range(6):
-            lost_info[i, j] *= weight
+            carried_info[i, j] *= weight
     if (
         transversely_isotropic(psd)
         and transversely_isotropic(carried_psd)
         and transversely_isotropic(jump)
     ):
         turn_back(error, slopes)
-        turn_back(lost, lost_slopes)
+        turn_back(carried_error, carried_slopes)
 
 
 @jit(
@@ -145,15 +145,15 @@ def weighted_steps(
     `angle` (L,) are rolls of nodes since their rates were `about`, at which weights are evaluated.
     """
     m = len(step)
-    error, lost = np.empty((m, 12)), np.empty((m, 6))
-    slopes, lost_slopes = np.zeros((m, 12, 2, 18)), np.empty((m, 6, 2, 18))
-    info, lost_info = np.zeros((m, 12, 12)), np.empty((m, 6, 6))
+    error, carried_error = np.empty((m, 12)), np.empty((m, 6))
+    slopes, carried_slopes = np.zeros((m, 12, 2, 18)), np.empty((m, 6, 2, 18))
+    info, carried_info = np.zeros((m, 12, 12)), np.empty((m, 6, 6))
     for n in range(m):
         a, b = nodes[n, 0], nodes[n, 1]
         step_into(
             pose[a], pose[b], rates[a], rates[b], fields[a], fields[b], about[a], about[b],
             step[n], weight[n], psd[n], carried_psd[n], jump[n], rigid,
-            error[n], slopes[n], info[n], lost[n], lost_slopes[n], lost_info[n],
+            error[n], slopes[n], info[n], carried_error[n], carried_slopes[n], carried_info[n],
         )  # fmt: skip
         if (
             transversely_isotropic(psd[n])
@@ -161,8 +161,8 @@ def weighted_steps(
             and transversely_isotropic(jump[n])
         ):
             turn_on(angle[a], error[n], slopes[n])
-            turn_on(angle[a], lost[n], lost_slopes[n])
-    return error, slopes, info, lost, lost_slopes, lost_info
+            turn_on(angle[a], carried_error[n], carried_slopes[n])
+    return error, slopes, info, carried_error, carried_slopes, carried_info
 
 
 @jit()

@@ -33,9 +33,9 @@ def one_thread() -> AbstractContextManager[None]:
 def _limited() -> Iterator[None]:
     _held.already = True
     controller = _controller()
-    alone = all(each.num_threads == 1 for each in controller.lib_controllers)
+    single_threaded = all(each.num_threads == 1 for each in controller.lib_controllers)
     try:
-        with nullcontext() if alone else controller.limit(limits=1):
+        with nullcontext() if single_threaded else controller.limit(limits=1):
             yield
     finally:
         _held.already = False

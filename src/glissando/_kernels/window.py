@@ -31,7 +31,7 @@ AHEAD, BEHIND, SOLVED, SCALE = range(4)
 
 
 @jit()
-def _known(blocks, vectors, own, older, end, rhs_end):
+def _information_from_older(blocks, vectors, own, older, end, rhs_end):
     """Information on a slab from older slabs, with the sums at the end of the last interval."""
     known, behind, coupling = blocks[KNOWN, own], vectors[BEHIND, own], blocks[COUPLING, older]
     for a in range(len(behind)):
@@ -43,7 +43,7 @@ def _known(blocks, vectors, own, older, end, rhs_end):
 
 
 @jit()
-def _sum(blocks, vectors, own, begin, rhs_begin, schur, scale):
+def _sum_slab(blocks, vectors, own, begin, rhs_begin, schur, scale):
     """Sum the matrix of a slab, into the lower half of `schur`, and its right-hand side."""
     known, own_sum = blocks[KNOWN, own], blocks[BEGIN, own]
     for a in range(len(scale)):
@@ -65,8 +65,8 @@ def solve(blocks, vectors, slot, start, begin, end, across, rhs_begin, rhs_end, 
     for k in range(start, count):
         own, i = slot[k], k - start
         if i:
-            _known(blocks, vectors, own, slot[k - 1], end[i - 1], rhs_end[i - 1])
-        _sum(blocks, vectors, own, begin[i], rhs_begin[i], schur, scale)
+            _information_from_older(blocks, vectors, own, slot[k - 1], end[i - 1], rhs_end[i - 1])
+        _sum_slab(blocks, vectors, own, begin[i], rhs_begin[i], schur, scale)
         inverse = blocks[INVERSE, own]
         if not inverse_factor(schur[0:d, 0:d], inverse[0:d, 0:d]):
             return k if vanished < 0 else vanished

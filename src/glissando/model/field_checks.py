@@ -10,9 +10,9 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 
-_TURNED = 1e-6  # largest entry of |Rᵀ R − I| of a rotation
-_LONGER = 10.0  # largest extension of a rest strain
-_FAR = 50.0  # m, largest distance of a pose from the origin
+_ROTATION_TOLERANCE = 1e-6  # largest entry of |Rᵀ R − I| of a rotation
+_LARGEST_EXTENSION = 10.0  # largest extension of a rest strain
+_LARGEST_DISTANCE = 50.0  # m, largest distance of a pose from the origin
 
 
 def is_number(value: object) -> bool:
@@ -54,7 +54,7 @@ class FieldChecks:
         except (TypeError, ValueError):
             raise self.fail(name, f"is {given!r}; give numbers.") from None
         if not any(_fits(value.shape, shape) for shape in shapes):
-            wanted = " or ".join(_words(shape) for shape in shapes)
+            wanted = " or ".join(_shape_text(shape) for shape in shapes)
             raise self.fail(name, f"has shape {value.shape}; give {wanted}.")
         low = above if above is not None else least
         bad = ~np.isfinite(value)
@@ -89,18 +89,20 @@ class FieldChecks:
         """Convert a field to a pose (4, 4), in metres."""
         value = self.numbers(name, (4, 4))
         rotation = value[:3, :3]
-        turned = np.abs(rotation.T @ rotation - np.eye(3)).max() < _TURNED
-        if not turned or np.linalg.det(rotation) < 0.0 or np.any(value[3] != [0, 0, 0, 1]):
+        orthonormal = np.abs(rotation.T @ rotation - np.eye(3)).max() < _ROTATION_TOLERANCE
+        if not orthonormal or np.linalg.det(rotation) < 0.0 or np.any(value[3] != [0, 0, 0, 1]):
             raise self.fail(name, "is no pose; give a rotation, a position and [0, 0, 0, 1].")
-        far = float(np.linalg.norm(value[:3, 3]))
-        if far > _FAR:
-            raise self.fail(name, f"lies {far:g} m from the origin; give metres, not millimetres.")
+        distance = float(np.linalg.norm(value[:3, 3]))
+        if distance > _LARGEST_DISTANCE:
+            raise self.fail(
+                name, f"lies {distance:g} m from the origin; give metres, not millimetres."
+            )
         return value
 
     def rest(self, segments: int) -> None:
         """Check `rest_strain` of a body (6,) or of its segments: a plausible extension."""
         strain = self.numbers("rest_strain", (6,), (segments, 6))
-        wrong = strain[..., 2][(strain[..., 2] <= 0.0) | (strain[..., 2] > _LONGER)]
+        wrong = strain[..., 2][(strain[..., 2] <= 0.0) | (strain[..., 2] > _LARGEST_EXTENSION)]
         if wrong.size:
             raise self.fail(
                 "rest_strain",
@@ -123,5 +125,5 @@ def _fits(shape: tuple[int, ...], wanted: tuple[int, ...]) -> bool:
     return all(a == b or (b == -1 and a) for a, b in zip(shape, wanted, strict=True))
 
 
-def _words(shape: tuple[int, ...]) -> str:
+def _shape_text(shape: tuple[int, ...]) -> str:
     return str(shape).replace("-1", "K") if shape else "one number"

@@ -19,7 +19,7 @@ SAME = 1e-9
 """Distance in metres up to which arclengths count as equal, since decimals are rounded."""
 _MOST_NODES = 1e7  # time nodes of a grid; more mean a wrong unit
 
-_CROWDED = 0.05  # of an interval: a reading closer to a node gets no node of its own
+_LEAST_SPACING = 0.05  # of an interval: a reading closer to a node gets no node of its own
 _TOLERANCE = 1e-9  # relative: of a step, to lie on a node; of the length, to lie inside the grid
 
 
@@ -117,8 +117,8 @@ def segment_at(joints: Array, arclength: Array) -> Index:
 
 def with_places(nodes: Array, places: Array) -> Array:
     """Arclength nodes and the given places, which replace nodes within 1e-9 m of them."""
-    apart = np.abs(nodes[:, None] - places).min(axis=1, initial=np.inf)
-    return np.union1d(nodes[apart > SAME], places)
+    distance = np.abs(nodes[:, None] - places).min(axis=1, initial=np.inf)
+    return np.union1d(nodes[distance > SAME], places)
 
 
 @dataclass(frozen=True)
@@ -148,9 +148,9 @@ class Grid(ShortRepr):
                 nodes = np.zeros(0)
             if nodes.ndim != 1 or nodes.size == 0 or not np.isfinite(nodes).all():
                 raise OutsideGridError(f"Grid {name} must be a list of finite numbers: {given!r}.")
-            stays = np.diff(nodes) <= (SAME if name == "arclength" else 0.0)
-            if stays.any():
-                at = int(np.argmax(stays))
+            repeated = np.diff(nodes) <= (SAME if name == "arclength" else 0.0)
+            if repeated.any():
+                at = int(np.argmax(repeated))
                 raise OutsideGridError(
                     f"Grid {name} must increase, but node {at + 1} ({nodes[at + 1]:g}) does not "
                     f"exceed node {at} ({nodes[at]:g}). Sort the nodes and drop repeats, also "
@@ -212,7 +212,7 @@ class Grid(ShortRepr):
             if number < 2:
                 continue
             end = float(self.time[k + 1])
-            latest, least = float(self.time[k]), _CROWDED * (end - float(self.time[k]))
+            latest, least = float(self.time[k]), _LEAST_SPACING * (end - float(self.time[k]))
             for at in read[lower == k].tolist():
                 if min(at - latest, end - at) > least:
                     nodes.append(at)

@@ -20,7 +20,7 @@ _MOST = 1e9  # s, m or m/s; larger numbers are refused
 _CYCLES = 100_000
 _REST = 0.6  # s of rest at each stop of a calibration path
 _MOST_OF_A_STAGE = {"stroke": (10.0, "m"), "speed": (10.0, "m/s"), "acceleration": (1e3, "m/s²")}
-_NO_WAY = 1e-9  # m; shorter moves are left out
+_SHORTEST_MOVE = 1e-9  # m; shorter moves are left out
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class SlidePath(ShortRepr):
         pieces = [
             _trapezoid(low, high, cruise, limits.acceleration)
             for low, high in pairwise(places)
-            if abs(high - low) > _NO_WAY
+            if abs(high - low) > _SHORTEST_MOVE
         ]
         return SlidePath._joined(float(places[0]), pieces, limits)
 
@@ -185,9 +185,9 @@ class SlidePath(ShortRepr):
             lasts = float(move[0].sum()) + _REST
             if spent + lasts >= duration:
                 break
-            pieces += [move, _still(_REST)]
+            pieces += [move, _rest_piece(_REST)]
             place, spent = target, spent + lasts
-        return SlidePath._joined(0.0, [*pieces, _still(duration - spent)], limits)
+        return SlidePath._joined(0.0, [*pieces, _rest_piece(duration - spent)], limits)
 
     @staticmethod
     def waypoints(time: ArrayLike, displacement: ArrayLike, limits: SlideLimits) -> SlidePath:
@@ -206,8 +206,8 @@ class SlidePath(ShortRepr):
                 )
             cruise = 2.0 * abs(way) / (span + np.sqrt(square))
             SlidePath._require("speed", "m/s", cruise, limits.speed)
-            if abs(way) < _NO_WAY:
-                pieces.append(_still(span))
+            if abs(way) < _SHORTEST_MOVE:
+                pieces.append(_rest_piece(span))
             else:
                 pieces.append(_trapezoid(places[k], places[k + 1], cruise, most))
         path = SlidePath._joined(float(places[0]), pieces, limits)
@@ -229,7 +229,7 @@ def _require_increasing(time: Array) -> None:
         raise SimulationError("The times of a slide path must be two or more, and increase.")
 
 
-def _still(duration: float) -> tuple[Array, Array, Array]:
+def _rest_piece(duration: float) -> tuple[Array, Array, Array]:
     return np.array([duration]), np.zeros(1), np.zeros(1)
 
 

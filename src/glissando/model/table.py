@@ -28,8 +28,8 @@ class Table:
     """
 
     def __init__(self, entries: dict[str, Any], where: str, error: type[GlissandoError]) -> None:
-        self._left = dict(entries)
-        self._known: list[str] = []
+        self._unread = dict(entries)
+        self._requested: list[str] = []
         self.where = where
         self.error = error
 
@@ -38,8 +38,8 @@ class Table:
         return self.error(f"{self.where}: {key} {problem}")
 
     def _take(self, key: str) -> Any:
-        self._known.append(key)
-        return self._left.pop(key, None)
+        self._requested.append(key)
+        return self._unread.pop(key, None)
 
     def table(self, key: str) -> Table | None:
         """A sub-table, or None when it is absent."""
@@ -71,8 +71,8 @@ class Table:
 
     def peek(self, key: str) -> Any:
         """Raw value of a key, or None when absent; the key still counts as not read."""
-        self._known.append(key)
-        return self._left.get(key)
+        self._requested.append(key)
+        return self._unread.get(key)
 
     def skip(self, key: str) -> None:
         """Mark a key as read, if another reader checks it."""
@@ -87,7 +87,7 @@ class Table:
 
     def names(self) -> list[str]:
         """Keys that were not read."""
-        return list(self._left)
+        return list(self._unread)
 
     def text(self, key: str, default: str | None = None, choices: Iterable[str] = ()) -> str:
         """A string, one of `choices` when they are given."""
@@ -216,9 +216,9 @@ class Table:
 
     def close(self) -> None:
         """Raise unless every key was read: a misspelt key must not be ignored."""
-        known = ", ".join(sorted(set(self._known)))
-        for key in self._left:
-            near = difflib.get_close_matches(key, self._known, n=1)
+        known = ", ".join(sorted(set(self._requested)))
+        for key in self._unread:
+            near = difflib.get_close_matches(key, self._requested, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"known keys: {known}."
             raise self.fail(key, f"is not a key of this table; {hint}")
 

@@ -66,26 +66,26 @@ def accelerated(
     edge = _NEAR * step
     inside = np.clip(time, grid.time[k] + 2.0 * edge, grid.time[k + 1] - 2.0 * edge)
     ends = inside - edge, inside + edge
-    apart = ends[1] - ends[0]  # as rounded
+    width = ends[1] - ends[0]  # as rounded
     early, at, late = (
         _interpolated(prior, grid, state, noise_state, arclength, when)
         for when in (ends[0], inside, ends[1])
     )
-    rate = (late.state.velocity - early.state.velocity) / apart[:, None]
+    rate = (late.state.velocity - early.state.velocity) / width[:, None]
     slope = late.jacobian[:, VELOCITY] - early.jacobian[:, VELOCITY]
-    slope = slope / apart[:, None, None, None]
+    slope = slope / width[:, None, None, None]
     place = grid.arclength[grid.locate(arclength, time)[0].nearest]
     after = grid.time[k] + edge
-    soon = _interpolated(prior, grid, state, noise_state, place, after).cov
-    crossing = _interpolated(prior, grid, state, noise_state, arclength, grid.time[k]).cov
+    after_node = _interpolated(prior, grid, state, noise_state, place, after).cov
+    on_node = _interpolated(prior, grid, state, noise_state, arclength, grid.time[k]).cov
     share = 1.0 / ((after - grid.time[k]) * np.minimum(span, step)), 2.0 / step**2
-    left, between = (
+    cov_white, cov_bridge = (
         part[:, None, None] * cov[:, VELOCITY, VELOCITY]
-        for part, cov in zip(share, (soon, crossing), strict=True)
+        for part, cov in zip(share, (after_node, on_node), strict=True)
     )
-    left = left + between
-    left[time >= grid.time[-1]] *= _UNKNOWN  # until another node follows
-    return _joined(at, *_of_body(at, rate, slope), left)
+    cov_white = cov_white + cov_bridge
+    cov_white[time >= grid.time[-1]] *= _UNKNOWN  # until another node follows
+    return _joined(at, *_body_acceleration(at, rate, slope), cov_white)
 
 
 def _interpolated(
@@ -95,7 +95,7 @@ def _interpolated(
     return prior.interpolate(grid, state, noise_state, points)
 
 
-def _of_body(at: Interpolation, rate: Array, slope: Array) -> tuple[Array, Array]:
+def _body_acceleration(at: Interpolation, rate: Array, slope: Array) -> tuple[Array, Array]:
     """Acceleration [v̇ + ω × v, ω̇] and its Jacobian, from the derivative of the velocity."""
     linear, spin = at.state.velocity[:, :3], at.state.velocity[:, 3:]
     slope[:, :3] += np.einsum("mij,mjcd->micd", se3.hat3(spin), at.jacobian[:, _V])
@@ -104,13 +104,13 @@ def _of_body(at: Interpolation, rate: Array, slope: Array) -> tuple[Array, Array
 
 
 def _joined(
-    at: Interpolation, acceleration: Array, slope: Array, left: Array | None
+    at: Interpolation, acceleration: Array, slope: Array, noise: Array | None
 ) -> Interpolation:
-    """Add acceleration (M, 6), its Jacobian (M, 6, c, dof) and covariance `left` to points."""
+    """Add acceleration (M, 6), its Jacobian (M, 6, c, dof) and covariance `noise` to points."""
     cov = np.zeros((len(slope), DOF + 6, DOF + 6))
     cov[:, :DOF, :DOF] = at.cov
-    if left is not None:
-        cov[:, DOF:, DOF:] = left
+    if noise is not None:
+        cov[:, DOF:, DOF:] = noise
     state = at.state
     moving = AcceleratedState(state.pose, state.strain, state.velocity, acceleration=acceleration)
     return Interpolation(moving, at.nodes, np.concatenate([at.jacobian, slope], axis=1), cov)
@@ -131,7 +131,7 @@ def accelerated_in_world(
         slopes: Jacobians (M, 3, c, dof) of the first two by the nodes.
     """
     rotation = at.state.pose[:, :3, :3]
-    back, tangent = np.swapaxes(rotation, -1, -2), np.array([0.0, 0.0, 1.0])
+    to_body, tangent = np.swapaxes(rotation, -1, -2), np.array([0.0, 0.0, 1.0])
     jacobian = np.zeros((*at.jacobian.shape[:2], nodes.shape[1], at.dof))
     rows = np.arange(len(nodes))
     for c in range(at.nodes.shape[1]):
@@ -143,12 +143,12 @@ def accelerated_in_world(
         (world[0], slopes[0], np.eye(3)),
         (world[1], slopes[1], se3.hat3(tangent)),
     ):
-        own = np.einsum("mij,mj->mi", back, vector)
-        change = np.einsum("mij,mjcd->micd", back, slope)
+        own = np.einsum("mij,mj->mi", to_body, vector)
+        change = np.einsum("mij,mjcd->micd", to_body, slope)
         change += np.einsum("mij,mjcd->micd", se3.hat3(own), turn)
         parts.append(own @ after.T)
         moved.append(np.einsum("ij,mjcd->micd", after, change))
     cov = np.zeros((len(nodes), 6, 6))
-    cov[:, :3, :3] = back @ world[2] @ rotation
+    cov[:, :3, :3] = to_body @ world[2] @ rotation
     full = Interpolation(at.state, nodes, jacobian, at.cov)
     return _joined(full, np.concatenate(parts, axis=1), np.concatenate(moved, axis=1), cov)

@@ -117,13 +117,13 @@ def without_roll_transport(prior: Prior) -> Prior:
     Its errors are then not rotated back by rolls, which is required with readings of strain along
     the body's axes: errors rotated back treat strain as rotated too, whereas readings are not.
     """
-    apart = {}
+    densities = {}
     for name in _STRAIN_DENSITIES:
         if hasattr(prior, name):
-            apart[name] = density = np.array(getattr(prior, name))
+            densities[name] = density = np.array(getattr(prior, name))
             density[..., 4] = np.nextafter(density[..., 4], np.inf)
-    told: Prior = replace(cast(Any, prior), **apart) if apart else prior
-    return told
+    changed: Prior = replace(cast(Any, prior), **densities) if densities else prior
+    return changed
 
 
 def both_sides(arclength: Array, joints: Array) -> Array:

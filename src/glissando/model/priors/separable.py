@@ -45,7 +45,7 @@ from glissando.model.priors.transitions import bridge, process_covariances
 from glissando.model.state import POSE, STRAIN, State
 from glissando.model.table import Table, pose_table
 
-_HARDLY = 1e-30  # factor on densities whose ratios alone matter
+_NEGLIGIBLE = 1e-30  # factor on densities whose ratios alone matter
 
 
 @dataclass(frozen=True)
@@ -181,37 +181,37 @@ class SeparablePrior(StationaryPrior):
         self.require_digits(grid)
         node = np.arange(k_count * n_count).reshape(k_count, n_count)
         touched = slice(times.start, min(times.stop + 1, k_count))
-        here, steps = node[touched], np.diff(grid.time[touched])
+        nodes, steps = node[touched], np.diff(grid.time[touched])
         local = state.take(touched)
         first = times.start == 0 and grid.before is None
         base = self._base(local)
         scale = self.on(grid).base_time_scale
         if scale is None:
-            yield from chain_factors(self.time_scale, first, steps, here[:, :1, None], *base)
+            yield from chain_factors(self.time_scale, first, steps, nodes[:, :1, None], *base)
         else:
-            yield from self._base_apart(scale, first, steps, here[:, :1, None], *base)
+            yield from self._split_base_factors(scale, first, steps, nodes[:, :1, None], *base)
         if n_count == 1:
             return
         ends = local.take(np.s_[:, :-1]), local.take(np.s_[:, 1:])
-        step = np.broadcast_to(np.diff(grid.arclength), (len(here), n_count - 1))
+        step = np.broadcast_to(np.diff(grid.arclength), (len(nodes), n_count - 1))
         error, *jacobians = interval_error(*ends, step)
         error[..., :12] -= self.rest.interval_errors(grid.arclength)
         about = noise_state.take(touched)
         cov = self._interval_covariances(grid, about)[1]
-        alike = transversely_isotropic(self.psd_strain_arclength, self.jumps)
-        angle = ends[0].rolls_from(about.take(np.s_[:, :-1])) if alike else None
+        isotropic = transversely_isotropic(self.psd_strain_arclength, self.jumps)
+        angle = ends[0].rolls_from(about.take(np.s_[:, :-1])) if isotropic else None
         yield from chain_factors(
             self.time_scale,
             first,
             steps,
-            np.stack([here[:, :-1], here[:, 1:]], axis=2),
+            np.stack([nodes[:, :-1], nodes[:, 1:]], axis=2),
             error,
             np.stack(jacobians, axis=3),
             cov,
             angle=angle,
         )
 
-    def _base_apart(
+    def _split_base_factors(
         self,
         pose_scale: float,
         first: bool,
@@ -286,11 +286,11 @@ class SeparablePrior(StationaryPrior):
 
         A base with its own time scale adds a term: a motion of the whole body without strain.
         """
-        nothing, parts = np.zeros(6), [(self.time_scale, (self.base.pose, self.base.strain), 1.0)]
-        slow = self.on(grid).base_time_scale
-        if slow is not None:
-            parts = [(self.time_scale, (nothing, self.base.strain), 1.0)]
-            parts.append((slow, (self.base.pose, nothing), _HARDLY))
+        zeros, parts = np.zeros(6), [(self.time_scale, (self.base.pose, self.base.strain), 1.0)]
+        base_scale = self.on(grid).base_time_scale
+        if base_scale is not None:
+            parts = [(self.time_scale, (zeros, self.base.strain), 1.0)]
+            parts.append((base_scale, (self.base.pose, zeros), _NEGLIGIBLE))
         psd, jump = map(whole, self._intervals(grid))
         at = whole(k), whole(n), whole(s.offset if inside else np.zeros(k.size))
         strain, lengths = whole(noise_state.strain), np.diff(grid.arclength)

@@ -112,7 +112,7 @@ class StationaryPrior(Protocol):
             )  # fmt: skip
             at, nodes = State(pose, strain, velocity), np.hstack([nodes[:m], nodes[m:]])
 
-        def left() -> Array:
+        def bridge_covariance() -> Array:
             parts, along = [(self.time_scale, np.zeros((12, 12)))], np.zeros((12, 12))
             if points.inside_time:
                 parts = self.sections(grid, noise_state, k, n, s, points.inside_arclength)
@@ -129,7 +129,7 @@ class StationaryPrior(Protocol):
                 )  # fmt: skip
             return cov
 
-        return Interpolation(at, nodes, jacobian, left)
+        return Interpolation(at, nodes, jacobian, bridge_covariance)
 
     def _at_time_nodes(
         self, grid: Grid, state: State, k: Index, n: Index, s: Cells, gain: Array | None
@@ -181,16 +181,16 @@ def chain_factors(
     every, shape = slice(0, jacobian.shape[-1]), error.shape[:2]
     if first:
         root = np.diag(np.diagonal(matern.stationary(time_scale)) ** -0.5)
-        still, slopes = error[0].copy(), jacobian[0].copy()
+        initial, slopes = error[0].copy(), jacobian[0].copy()
         if angle is not None:
-            rolls.turn_all_back(whole(angle[0]), still, slopes)  # (35)
+            rolls.turn_all_back(whole(angle[0]), initial, slopes)  # (35)
         whitener = kron_pair(root, sqrt_information(cov[0]))
-        yield Factors(nodes[0], every, slopes, Residuals(still, whitener))
+        yield Factors(nodes[0], every, slopes, Residuals(initial, whitener))
     if not len(steps):
         return
-    given = whole(steps), whole(error), whole(jacobian), items(cov, shape, *cov.shape[2:])
-    given = *given[:3], given[3].reshape(cov.shape)
-    innovation, slopes, info = kernels.chain(time_scale, *given, paired)
+    arrays = whole(steps), whole(error), whole(jacobian), items(cov, shape, *cov.shape[2:])
+    arrays = *arrays[:3], arrays[3].reshape(cov.shape)
+    innovation, slopes, info = kernels.chain(time_scale, *arrays, paired)
     if angle is not None:
         rolls.turn_all_back(angle[:-1].ravel(), innovation, slopes)
     joined = np.concatenate([nodes[:-1], nodes[1:]], axis=2).reshape(len(innovation), -1)

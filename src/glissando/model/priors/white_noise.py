@@ -219,10 +219,10 @@ class WhiteNoisePrior:
         """
         k_count, n_count = grid.shape
         node = np.arange(k_count * n_count).reshape(k_count, n_count)
-        here, flat, noise_state = node[times], state.flatten(), noise_state.flatten()
+        nodes, flat, noise_state = node[times], state.flatten(), noise_state.flatten()
         if n_count > 1:
-            ends = (here[:, :-1].ravel(), here[:, 1:].ravel())
-            step = np.broadcast_to(np.diff(grid.arclength), (len(here), n_count - 1)).ravel()
+            ends = (nodes[:, :-1].ravel(), nodes[:, 1:].ravel())
+            step = np.broadcast_to(np.diff(grid.arclength), (len(nodes), n_count - 1)).ravel()
             span = np.repeat(grid.time_spans[times], n_count - 1)
             densities = self.along_arclength(grid.arclength, ends[0] % n_count)
             yield from self._along(ARCLENGTH, flat, noise_state, ends, step, span, densities)
@@ -234,7 +234,7 @@ class WhiteNoisePrior:
             densities = self.along_time(grid.time[ends[0] // n_count] + 0.5 * step)
             yield from self._along(TIME, flat, noise_state, ends, step, span, densities)
         if self.base is not None:
-            yield self._base(grid.time_spans[times], flat, here[:, :1])
+            yield self._base(grid.time_spans[times], flat, nodes[:, :1])
 
     def static_factors(self, grid: Grid, state: State) -> Iterator[Factors]:
         """Factors of static shapes, linearised at pose and strain of nodes (S, N)."""
@@ -254,9 +254,9 @@ class WhiteNoisePrior:
         cells = points.along, points.through
         lower = np.stack([each.lower for each in cells], axis=1)
         places = np.array([[each.step, each.offset] for each in cells])
-        nodes_are = state.pose, state.strain, state.velocity
+        fields = state.pose, state.strain, state.velocity
         pose, strain, velocity, nodes, jacobian, cov = white_noise_points.points(
-            lower, whole(places.transpose(2, 0, 1)), *map(whole, nodes_are),
+            lower, whole(places.transpose(2, 0, 1)), *map(whole, fields),
             whole(noise_state.strain), whole(noise_state.velocity),
             self.arclength_densities(grid.arclength), self.time_densities(grid.time),
             grid.arclength_spans, grid.time_spans,

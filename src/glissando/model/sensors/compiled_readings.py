@@ -29,7 +29,7 @@ class CompiledReadings(Readings):
 
     sensor: ClassVar[int]
 
-    def _sensed(self, at: State) -> tuple[Array, Array]:
+    def _residual_and_jacobian(self, at: State) -> tuple[Array, Array]:
         """Residuals (…, rows) and their Jacobians (…, rows, 18) at states."""
         lead, width = at.pose.shape[:-2], math.prod(self.values.shape[1:])
         values = items(self.values.reshape(len(self), width), lead, width)
@@ -41,11 +41,11 @@ class CompiledReadings(Readings):
 
     def residual(self, at: State) -> Array:
         """Expected minus measured (M, rows), see `_kernels.sensors`."""
-        return self._sensed(at)[0]
+        return self._residual_and_jacobian(at)[0]
 
     def jacobian(self, at: State) -> Array:
         """Jacobian (M, rows, 18) of the residual by the state."""
-        return self._sensed(at)[1]
+        return self._residual_and_jacobian(at)[1]
 
 
 class ReadingRows:

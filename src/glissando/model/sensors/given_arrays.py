@@ -46,8 +46,8 @@ def require_rotations(label: str, values: Array) -> None:
 
 def repeats_at_place(columns: Array, arclength: Array) -> NDArray[np.bool_]:
     """Mask (M,) of rows of columns (M, C) that repeat the last row at the same arclength (M,)."""
-    again = np.zeros(len(columns), dtype=bool)
+    repeats = np.zeros(len(columns), dtype=bool)
     order = np.argsort(arclength, kind="stable")
-    here = np.diff(arclength[order]) == 0.0
-    again[order[1:]] = here & np.all(columns[order[1:]] == columns[order[:-1]], axis=1)
-    return again
+    same_place = np.diff(arclength[order]) == 0.0
+    repeats[order[1:]] = same_place & np.all(columns[order[1:]] == columns[order[:-1]], axis=1)
+    return repeats

@@ -11,9 +11,9 @@ from glissando.model.state import DOF, State
 
 _ROWS = 3  # readings that are checked
 _MOVED = 0.1  # m, rad and so on, away from rest, where many residuals have zero slope
-_OFF = 1e-3  # largest error of a derivative, relative to the largest of a reading
+_TOLERANCE = 1e-3  # largest error of a derivative, relative to the largest of a reading
 
-_fitting: set[type] = set()  # classes that passed the check
+_checked: set[type] = set()  # classes that passed the check
 
 
 def require_own_jacobian(readings: Readings, rest: State) -> None:
@@ -26,7 +26,7 @@ def require_own_jacobian(readings: Readings, rest: State) -> None:
         rest: States (N,) of one shape of the robot, of which the last is used.
     """
     kind = type(readings)
-    known = kind in _fitting or kind.__module__.startswith("glissando.")
+    known = kind in _checked or kind.__module__.startswith("glissando.")
     if known or not len(readings) or not readings.reads_one_state:
         return
     few = readings.select(slice(0, _ROWS))
@@ -46,11 +46,11 @@ def require_own_jacobian(readings: Readings, rest: State) -> None:
         return
     scale = 1.0 + np.abs(differences).max(axis=(-1, -2), keepdims=True)
     gap = np.abs(own - differences)
-    if not np.all(gap <= _OFF * scale):
+    if not np.all(gap <= _TOLERANCE * scale):
         row, line, column = np.unravel_index(int(np.argmax(gap / scale)), gap.shape)
         raise SensorError(
             f"{readings.label}: jacobian(at) has {own[row, line, column]:.4g} in column {column}, "
             f"and residual(at) changes by {differences[row, line, column]:.4g} there; poses are "
             f"perturbed on the right, in the body's axes. Correct it, or leave jacobian out."
         )
-    _fitting.add(kind)
+    _checked.add(kind)

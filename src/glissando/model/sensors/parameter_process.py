@@ -17,7 +17,7 @@ HELD = 1e14
 """Information that holds a delay fixed, s⁻²."""
 _CONSTANT = 1e6  # correlation time of a constant over the length of the recording
 _FIRM = 0.01  # m, rad, s, rad/s: constants of larger std drift no more than one of this
-_HOLDS = 100.0  # s, in place of an unknown length of recording; more would cost digits
+_UNKNOWN_LENGTH = 100.0  # s, in place of an unknown length of recording; more would cost digits
 
 
 class EstimatedParameters:
@@ -37,9 +37,9 @@ class EstimatedParameters:
         self.columns = [slice(a, b) for a, b in pairwise(ends)]
         self.size = int(ends[-1])
         whole = grid.time.size > 1 and grid.before is None  # not a window of it
-        span = max(np.ptp(grid.time), 1.0) if whole else _HOLDS
-        forever = [_CONSTANT * span * np.maximum(1.0, (u.std / _FIRM) ** 2) for u in self.each]
-        pairs = zip(self.each, forever, strict=True)
+        span = max(np.ptp(grid.time), 1.0) if whole else _UNKNOWN_LENGTH
+        limits = [_CONSTANT * span * np.maximum(1.0, (u.std / _FIRM) ** 2) for u in self.each]
+        pairs = zip(self.each, limits, strict=True)
         memory = [np.minimum(u.correlation_time, longest) for u, longest in pairs]
         self.memory = np.concatenate([np.zeros(0), *memory])
         self.mean = np.concatenate([np.zeros(0), *(u.value for u in self.each)])
@@ -69,8 +69,8 @@ class EstimatedParameters:
         a = np.diff(self.grid.time)[:, None] / self.memory
         first = self.std if self.grid.before is None else np.full(self.size, np.inf)
         std = np.concatenate([first[None], self.std * np.sqrt(-np.expm1(-2.0 * a))])
-        decay, off = np.exp(-a), values - self.mean
-        return decay, std, np.concatenate([off[:1], off[1:] - decay * off[:-1]])
+        decay, deviation = np.exp(-a), values - self.mean
+        return decay, std, np.concatenate([deviation[:1], deviation[1:] - decay * deviation[:-1]])
 
     def faded(self, lasts: float, values: Array, cov: Array) -> tuple[Array, Array]:
         """Predict values (E,) and their covariance (E, E) over `lasts` s.
@@ -97,9 +97,9 @@ class EstimatedParameters:
         step, offset = np.diff(self.grid.time)[lower], time - self.grid.time[lower]
         whole, near = step[:, None] / self.memory, np.clip(offset, 0.0, step)[:, None] / self.memory
         far = whole - near
-        none, early, late = (-np.expm1(-2.0 * a) for a in (whole, far, near))  # sinh overflows
-        weights = np.stack([np.exp(-near) * early, np.exp(-far) * late], axis=1) / none[:, None]
-        return lower, weights, self.std**2 * early * late / none
+        norm, early, late = (-np.expm1(-2.0 * a) for a in (whole, far, near))  # sinh overflows
+        weights = np.stack([np.exp(-near) * early, np.exp(-far) * late], axis=1) / norm[:, None]
+        return lower, weights, self.std**2 * early * late / norm
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ _LARGEST_STD: dict[str, Array | float] = {
     "slide_lag": 5.0,
     "slide_play": 0.1,
 }  # m, rad or s, beyond which a unit is wrong
-_FOR = {"frame": ((4, 4), (3, 3), (3,)), "bias": ((3,),)}  # shapes of values to which each applies
+_SHAPES = {"frame": ((4, 4), (3, 3), (3,)), "bias": ((3,),)}  # value shapes of each
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ class SensorParameter:
         Raises:
             SensorError: The sensor has no parameter of this kind.
         """
-        fits = _FOR.get(self.kind)
+        fits = _SHAPES.get(self.kind)
         three = self.kind == "frame" and readings.value_shape == (3,)
         frameless = three and not readings.fixes_base  # rates and accelerations of its own frame
         if frameless or (fits is not None and readings.value_shape not in fits):

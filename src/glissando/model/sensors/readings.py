@@ -164,7 +164,7 @@ class Readings(ShortRepr):
         raise NotImplementedError(f"{cls.__name__} must define values_at(pose) to be planned for.")
 
     def __post_init__(self) -> None:
-        self._require_digits()
+        self._require_precise_times()
         for given in ("time", "arclength", "values"):
             array = numbers(self.label, given, getattr(self, given))
             object.__setattr__(self, given, array)
@@ -204,7 +204,7 @@ class Readings(ShortRepr):
             object.__setattr__(self, given, value)
             if value.shape not in ((), count) or not np.all(np.isfinite(value)):
                 raise SensorError(f"{self.label}: {given} must be one number, or {count}.")
-        self._require_heard()
+        self._require_effect()
         object.__setattr__(self, "cov", covariance_matrix(self.cov, self.row_count, self.label))
         if self.cov.ndim == 3 and len(self.cov) != len(self):
             raise SensorError(
@@ -212,7 +212,7 @@ class Readings(ShortRepr):
                 f"or one a reading."
             )
 
-    def _require_digits(self) -> None:
+    def _require_precise_times(self) -> None:
         """Raise SensorError for times of a type that rounds them by a millisecond or more."""
         time = np.asarray(self.time)
         if time.dtype.kind == "f" and time.dtype.itemsize < 8 and time.size:
@@ -223,7 +223,7 @@ class Readings(ShortRepr):
                     f"to {rounded:.2g} s; give float64."
                 )
 
-    def _require_heard(self) -> None:
+    def _require_effect(self) -> None:
         """Raise SensorError for a mount or arclength_std without effect, or an invalid loss."""
         if not self.mounted and self.beside is None and np.any(self.mount != np.eye(4)):
             raise SensorError(
@@ -295,13 +295,13 @@ class Readings(ShortRepr):
             for name in (*_EACH, *self.per_reading)
         }
         for name, single in _ONE_OR_EACH:
-            ours, its = getattr(self, name), getattr(other, name)
-            alike = ours is its or (ours.shape == its.shape and bool(np.all(ours == its)))
-            if ours.ndim == single and alike:
+            ours, theirs = getattr(self, name), getattr(other, name)
+            equal = ours is theirs or (ours.shape == theirs.shape and bool(np.all(ours == theirs)))
+            if ours.ndim == single and equal:
                 continue
             each = [
                 np.broadcast_to(value, (len(part), *value.shape[value.ndim - single :]))
-                for part, value in ((self, ours), (other, its))
+                for part, value in ((self, ours), (other, theirs))
             ]
             fields[name] = np.concatenate(each)
         return self.changed(**fields)

@@ -108,14 +108,14 @@ class TendonReadings(Readings, kind="tendon"):
         Raises:
             SensorError: A tendon ends beyond the last place.
         """
-        residual, _ = self._over(arclength, at)
+        residual, _ = self._residual_and_jacobian(arclength, at)
         return residual
 
     def jacobian_over(self, arclength: Array, at: State) -> Array:
         """∂residual/∂[pose, strain, velocity] at each place (M, T, N, 18)."""
-        return self._over(arclength, at)[1]
+        return self._residual_and_jacobian(arclength, at)[1]
 
-    def _over(self, arclength: Array, at: State) -> tuple[Array, Array]:
+    def _residual_and_jacobian(self, arclength: Array, at: State) -> tuple[Array, Array]:
         if np.any(self.end > arclength[-1] + 1e-9):
             raise SensorError(
                 f"{self.label}: tendon {int(np.argmax(self.end))} ends at {self.end.max():g} m, "
@@ -138,8 +138,8 @@ class TendonReadings(Readings, kind="tendon"):
             jacobian[:, j, :, STRAIN] = -share[:, None] * np.concatenate([unit, lever], axis=-1)
         stretch = self.values[:, count:] * self.compliance if np.any(self.compliance) else 0.0
         residual = expected + self.slack + stretch - self.values[:, :count]
-        loose = (self.one_sided > 0.0) & (residual > 0.0)
-        return np.where(loose, 0.0, residual), np.where(loose[..., None, None], 0.0, jacobian)
+        is_slack = (self.one_sided > 0.0) & (residual > 0.0)
+        return np.where(is_slack, 0.0, residual), np.where(is_slack[..., None, None], 0.0, jacobian)
 
 
 def up_to(arclength: Array, end: float) -> Array:

@@ -51,12 +51,12 @@ class Equilibrium:
 
     def strain_by_tension(self) -> Array:
         """∂strain/∂tension (M, P, 6, T), with tensions as inputs."""
-        return self._rubbing(-self.compliance @ self.pull, np.zeros_like(self.slope))
+        return self._with_friction(-self.compliance @ self.pull, np.zeros_like(self.slope))
 
     def strain_by_displacement(self) -> Array:
         """∂strain/∂displacement (M, P, 6, T), with displacements as inputs."""
         by_stretch = self.pull_response * self.slope[:, None]
-        return self._rubbing(-self.compliance @ (self.pull @ by_stretch[:, None]), self.slope)
+        return self._with_friction(-self.compliance @ (self.pull @ by_stretch[:, None]), self.slope)
 
     @cached_property
     def pull_response(self) -> Array:
@@ -90,7 +90,7 @@ class Equilibrium:
         own = np.zeros((m, count, 6, 2 * count))
         for piece in range(count):
             own[:, piece, 3:5, 2 * piece : 2 * piece + 2] = np.eye(2)
-        return self._rubbing(self.strain_by(own, self.slope), self.slope)
+        return self._with_friction(self.strain_by(own, self.slope), self.slope)
 
     def strain_by(self, wrench: Array, slope: Array) -> Array:
         """Strains (…, M, P, 6, q) due to wrenches on sections, at constant shares of friction.
@@ -107,7 +107,7 @@ class Equilibrium:
         back = self.pull_response @ (slope[..., None] * short)
         return np.asarray(free - self.compliance @ (self.pull @ back[..., None, :, :]))
 
-    def _rubbing(self, slope: Array, stiffness: Array) -> Array:
+    def _with_friction(self, slope: Array, stiffness: Array) -> Array:
         """Jacobians (M, P, 6, ·) of strain, completed by the change of friction with strain.
 
         With (A + F) S = B and A S₀ = B, S = (1 + A⁻¹ F)⁻¹ S₀; F is the derivative of friction.
@@ -119,11 +119,11 @@ class Equilibrium:
         _, unit, speed, _ = rod.reaches(self.strain)
         force = self.tension[..., None, None] * self.pull.transpose(0, 3, 1, 2)
         channels = friction, rod.length, rod.path[0]
-        eased = wrench_by_strain(*channels, self.strain, unit, speed, force)
-        back = self.strain_by(eased.reshape(m, count, 6, -1), stiffness)
-        whole = np.eye(6 * count) + back.reshape(m, 6 * count, -1)
-        rubbed = np.linalg.solve(whole, slope.reshape(m, 6 * count, -1))
-        return np.asarray(rubbed.reshape(slope.shape))
+        by_friction = wrench_by_strain(*channels, self.strain, unit, speed, force)
+        back = self.strain_by(by_friction.reshape(m, count, 6, -1), stiffness)
+        system = np.eye(6 * count) + back.reshape(m, 6 * count, -1)
+        corrected = np.linalg.solve(system, slope.reshape(m, 6 * count, -1))
+        return np.asarray(corrected.reshape(slope.shape))
 
     def responses(self) -> tuple[Array, Array]:
         """Jacobians (M, P, 6, ·) of strain by residuals of wrenches and of tensions.
@@ -136,8 +136,8 @@ class Equilibrium:
         each = np.broadcast_to(each, (m, *each.shape))
         by_tension = -self.compliance @ (self.pull @ self.pull_response[:, None])
         return (
-            -self._rubbing(self.strain_by(each, self.slope), self.slope),
-            self._rubbing(by_tension, self.slope),
+            -self._with_friction(self.strain_by(each, self.slope), self.slope),
+            self._with_friction(by_tension, self.slope),
         )
 
     @cached_property

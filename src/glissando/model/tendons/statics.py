@@ -45,28 +45,28 @@ def equilibrium(
         GlissandoError: Neither or both are given, a number is missing, or a tension is negative.
         NoShapeError: No equilibrium was found.
     """
-    given, found = _checked_inputs(rod, displacement, tension), []
+    given, solutions = _checked_inputs(rod, displacement, tension), []
     if start is None:
         start = np.broadcast_to(rod.rest, (len(given), *rod.rest.shape[-2:]))
     for first in range(0, len(given), SHAPES):
         rows = slice(first, first + SHAPES)
         part = rod.take(rows), given[rows], start[rows], first
-        found.append(_solved(*part, tensions=displacement is None))
-    joined = zip(*(each.arrays() for each in found), strict=True)
+        solutions.append(_solve_rows(*part, tensions=displacement is None))
+    joined = zip(*(each.arrays() for each in solutions), strict=True)
     return Equilibrium(rod, *(np.concatenate(parts) for parts in joined))
 
 
-def _solved(
+def _solve_rows(
     rod: TendonRod, given: Array, strain: Array, first: int, *, tensions: bool
 ) -> Equilibrium:
     """Solve the rows from `first` on by Newton's method, beginning at strains (M, P, 6)."""
     for _ in range(_ITERATIONS):
-        here, residual = _linearize(rod, strain, given, tensions)
-        step = here.strain_by(residual[..., None], here.slope)[..., 0]  # Newton's, to be subtracted
+        linearized, residual = _linearize(rod, strain, given, tensions)
+        step = linearized.strain_by(residual[..., None], linearized.slope)[..., 0]  # Newton's
         turned = np.abs(step * rod.length[:, None]).max(axis=(1, 2), keepdims=True)
         strain = strain - step * np.minimum(1.0, _LONGEST / np.maximum(turned, 1e-300))
         if turned.max() < _CLOSE:
-            return replace(here, strain=strain)
+            return replace(linearized, strain=strain)
     worst = first + int(np.argmax(turned.ravel()))
     raise NoShapeError(
         f"No static shape was found for row {worst} of the tendons; is the rod buckling, or is a "
@@ -99,10 +99,10 @@ def _linearize(
     reach, unit, speed, inside = rod.reaches(strain)
     stretch = given - rod.shortening(speed) - rod.tendons.slack
     force, slope = (given, np.zeros_like(given)) if tensions else rod.tendons.tension(stretch)
-    left = share_left(rod.tendons.friction, rod.length, strain, unit) * inside
-    pull = (reach * left[..., None]).transpose(0, 2, 3, 1)
+    share = share_left(rod.tendons.friction, rod.length, strain, unit) * inside
+    pull = (reach * share[..., None]).transpose(0, 2, 3, 1)
     residual = _balance(rod, strain, pull, force)
-    compliance = np.asarray(np.linalg.inv(_hessian(rod, unit, (force[..., None] * left) / speed)))
+    compliance = np.asarray(np.linalg.inv(_hessian(rod, unit, (force[..., None] * share) / speed)))
     free = reach * inside[..., None]
     return Equilibrium(rod, strain, force, compliance, pull, free, slope), residual
 
@@ -127,8 +127,8 @@ def misfit(
         Residual wrenches (M, P, 6), and tensions (M, T) that follow from the tendons' stretch.
     """
     reach, unit, speed, inside = rod.reaches(strain)
-    left = share_left(rod.tendons.friction, rod.length, strain, unit) * inside
-    pull = (reach * left[..., None]).transpose(0, 2, 3, 1)
+    share = share_left(rod.tendons.friction, rod.length, strain, unit) * inside
+    pull = (reach * share[..., None]).transpose(0, 2, 3, 1)
     stretch = displacement - rod.shortening(speed) - rod.tendons.slack
     return _balance(rod, strain, pull, tension), rod.tendons.tension(stretch)[0]
 

@@ -115,7 +115,7 @@ def tendon_rod(robot: Robot, nodes: Array | None = None) -> TendonRod:
         )
     given = robot.arclength_nodes if nodes is None else nodes
     every = np.concatenate([[0.0, robot.length], given, prior.mechanics.joints, tendons.end])
-    every = _close(np.unique(np.round(every, 9)), tendons)
+    every = _refined(np.unique(np.round(every, 9)), tendons)
     middle = 0.5 * (every[1:] + every[:-1])
     stiffness = prior.mechanics.stiffness[prior.mechanics.segment(middle)]
     base = prior.base_pose, prior.var_base
@@ -156,7 +156,7 @@ def replicate_of(robot: Robot) -> Replicate:
     )
 
 
-def _close(nodes: Array, tendons: Tendons) -> Array:
+def _refined(nodes: Array, tendons: Tendons) -> Array:
     """Nodes with as many added as pieces need on which helical tendons hardly turn."""
     turns = np.diff(nodes) * np.max(1.0 / np.abs(tendons.pitch))
     counts = np.maximum(1, np.ceil(_PIECES * turns - 1e-9)).astype(int)

@@ -123,13 +123,13 @@ class Tendons:
         The play operator: the robot's end follows only once the servo has taken up the play. The
         initial position within the play is unknown: this is the mean over all of them.
         """
-        return self._played(displacement)[0]
+        return self._effective_moments(displacement)[0]
 
     def std_in_play(self, displacement: Array) -> Array:
         """Standard deviations (M, T) of `effective`, by the unknown initial position in play."""
-        return self._played(displacement)[1]
+        return self._effective_moments(displacement)[1]
 
-    def _played(self, displacement: Array) -> tuple[Array, Array]:
+    def _effective_moments(self, displacement: Array) -> tuple[Array, Array]:
         """Mean and standard deviation (M, T) of `effective` over initial positions in the play.
 
         These are uniform in the play; those that the servo has carried along lie at one end.

@@ -53,12 +53,12 @@ class RodEnds:
         """
         at = replace(state.take(np.s_[:, :1]), inertia=None)
         error, slope = place_error(self.base_pose, at.strain[0, 0], at)
-        error, slope = error[..., _POSE_ROWS], _widened(slope[..., _POSE_ROWS, :], state.dof)
+        error, slope = error[..., _POSE_ROWS], _zero_padded(slope[..., _POSE_ROWS, :], state.dof)
         cov = np.broadcast_to(np.diag(self.var_base), (len(node), 1, 6, 6))
         yield from chain_factors(*chain, node[:, :1, None], error, slope, cov, paired=False)
         error, slope = self.rod.tip_error(grid, state.take(np.s_[:, -1:]))
         cov = np.broadcast_to(np.diag(self.var_tip), (len(node), 1, 6, 6))
-        slope = _widened(slope, state.dof)
+        slope = _zero_padded(slope, state.dof)
         yield from chain_factors(*chain, node[:, -1:, None], error, slope, cov, paired=False)
 
     def static_factors(self, grid: Grid, state: State, node: Index) -> Iterator[Factors]:
@@ -67,9 +67,11 @@ class RodEnds:
         xi = se3.log(se3.inverse(self.base_pose) @ at.pose)
         jacobian = np.zeros((count, 6, 1, STATIC_DOF))
         jacobian[:, :, 0, :6] = se3.right_jacobian_inverse(xi)
-        yield Factors(node[:, :1], _STATIC, jacobian, Residuals(xi, _firm(self.var_base, count)))
+        yield Factors(
+            node[:, :1], _STATIC, jacobian, Residuals(xi, _whitener(self.var_base, count))
+        )
         error, slope = self.rod.tip_error(grid, state.take(np.s_[:, -1]))
-        terms = Residuals(error[:, :6], _firm(self.var_tip, count))
+        terms = Residuals(error[:, :6], _whitener(self.var_tip, count))
         yield Factors(node[:, -1:], _STATIC, slope[:, :6, None, _STATIC], terms)
 
     def information(self, grid: Grid, state: State) -> tuple[Array, Array]:
@@ -78,12 +80,12 @@ class RodEnds:
         return np.diag(1.0 / self.var_base), tip.mT @ (tip / self.var_tip[:, None])
 
 
-def _widened(slope: Array, dof: int) -> Array:
+def _zero_padded(slope: Array, dof: int) -> Array:
     """Jacobians (…, r, 1, dof) by a node, from those (…, r, d) by its first d components."""
     none = np.zeros((*slope.shape[:-1], dof - slope.shape[-1]))
     return np.concatenate([slope, none], axis=-1)[..., None, :]
 
 
-def _firm(variance: Array, count: int) -> Array:
+def _whitener(variance: Array, count: int) -> Array:
     """Square-root information (count, 6, 6) of one variance (6,)."""
     return np.broadcast_to(np.diag(variance**-0.5), (count, 6, 6))

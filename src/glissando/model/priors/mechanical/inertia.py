@@ -100,13 +100,13 @@ class ModalMotion:
             state: State to linearise at.
         """
         values, slopes = modal_values(self.modes, state), modal_slopes(self.modes, state)
-        yield from self._bounded(first, np.diff(time), nodes, values[:, 2:], slopes[:, 2:])
+        yield from self._release_factors(first, np.diff(time), nodes, values[:, 2:], slopes[:, 2:])
         if len(self.modes.remainder):
-            yield self._pinned(nodes[:own], state.take(slice(own)))
+            yield self._remainder_factors(nodes[:own], state.take(slice(own)))
         if time.size > 1:
-            yield self._moved(np.diff(time), nodes, values, slopes)
+            yield self._motion_factors(np.diff(time), nodes, values, slopes)
 
-    def _bounded(
+    def _release_factors(
         self, first: bool, steps: Array, nodes: Index, values: Array, slopes: Array
     ) -> Iterator[Factors]:
         """Factors that bound modal accelerations by those after the release of a force.
@@ -123,38 +123,38 @@ class ModalMotion:
             chain = float(np.sqrt(3.0) / fastest), first, steps, nodes[:, None]
             yield from chain_factors(*chain, error, slope, cov, paired=False)
 
-    def _pinned(self, nodes: Index, state: State) -> Factors:
+    def _remainder_factors(self, nodes: Index, state: State) -> Factors:
         """Factors that keep the part of nodal accelerations outside the modes close to zero."""
-        rest, (count, n_count) = self.modes.remainder, nodes.shape
-        rows = 6 * len(rest)
-        error = np.einsum("zn,knc->kzc", rest, state.fields()[-1]).reshape(count, rows)
-        slope = np.zeros((len(rest), 6, n_count, INERTIA.stop))
-        slope[..., INERTIA] = np.einsum("zn,cd->zcnd", rest, np.eye(6))
+        remainder, (count, n_count) = self.modes.remainder, nodes.shape
+        rows = 6 * len(remainder)
+        error = np.einsum("zn,knc->kzc", remainder, state.fields()[-1]).reshape(count, rows)
+        slope = np.zeros((len(remainder), 6, n_count, INERTIA.stop))
+        slope[..., INERTIA] = np.einsum("zn,cd->zcnd", remainder, np.eye(6))
         slope = np.broadcast_to(
             slope.reshape(1, rows, *slope.shape[2:]), (count, rows, *slope.shape[2:])
         )
         std = PINNED * np.repeat([1.0, self.modes.rate[-1]], 3)
-        firm = np.broadcast_to(np.diag(np.tile(1.0 / std, len(rest))), (count, rows, rows))
-        return Factors(nodes, _ALL, np.ascontiguousarray(slope), Residuals(error, firm))
+        whitener = np.broadcast_to(np.diag(np.tile(1.0 / std, len(remainder))), (count, rows, rows))
+        return Factors(nodes, _ALL, np.ascontiguousarray(slope), Residuals(error, whitener))
 
-    def _moved(self, steps: Array, nodes: Index, values: Array, slopes: Array) -> Factors:
+    def _motion_factors(self, steps: Array, nodes: Index, values: Array, slopes: Array) -> Factors:
         """Factors of amplitudes and rates, predicted from the previous ones and D at both ends."""
         count, size = self.modes.rate.size, slopes.shape[-2:]
         steps_of_modes = [self._step(float(h)) for h in steps]
-        onward, early, late, white = (np.stack(each) for each in zip(*steps_of_modes, strict=True))
+        onward, early, late, info = (np.stack(each) for each in zip(*steps_of_modes, strict=True))
         maps, square = (
             (onward, early, late),
             np.minimum(self.modes.rate, FASTEST / steps[:, None]) ** 2,
         )
-        carried, reached = _ends(maps, square, values)
-        before, after = _ends(maps, square, slopes)
+        carried, reached = _predicted(maps, square, values)
+        before, after = _predicted(maps, square, slopes)
         jacobian = np.concatenate([-before, after], axis=-2)
         shape = len(steps), 6 * count
         return Factors(
             np.concatenate([nodes[:-1], nodes[1:]], axis=1),
             _ALL,
             jacobian.reshape(*shape, 2 * size[0], size[1]),
-            Residuals((reached - carried).reshape(shape), white),
+            Residuals((reached - carried).reshape(shape), info),
         )
 
     def _step(self, step: float) -> tuple[Array, Array, Array, Array]:
@@ -226,7 +226,7 @@ def bridge_covariance(step: float, time_scale: float, time: Array) -> Array:
     return out
 
 
-def _ends(maps: tuple[Array, Array, Array], square: Array, each: Array) -> tuple[Array, Array]:
+def _predicted(maps: tuple[Array, Array, Array], square: Array, each: Array) -> tuple[Array, Array]:
     """Predictions over steps, and values at their ends less the contribution of D there.
 
     Args:

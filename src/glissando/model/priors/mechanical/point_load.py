@@ -52,14 +52,14 @@ def point_load(
     """
     last, at_tip, slope = tip
     count = len(last)
-    mean, left, share = np.zeros((count, 6)), np.zeros((count, 6, 6)), np.zeros((count, 6, 12))
+    mean, cov, cross = np.zeros((count, 6)), np.zeros((count, 6, 6)), np.zeros((count, 6, 12))
     error, slopes = still_error(start, end, piece)
     noise = piece.flow(start, noisy=True).noise
-    share[:, range(6), range(6, 12)] = -piece.jump / piece.end_stiffness
-    gain = np.swapaxes(np.linalg.solve(noise, np.swapaxes(share, -1, -2)), -1, -2)
+    cross[:, range(6), range(6, 12)] = -piece.jump / piece.end_stiffness
+    gain = np.swapaxes(np.linalg.solve(noise, np.swapaxes(cross, -1, -2)), -1, -2)
     mean += np.einsum("mij,mj->mi", gain, error)
     jacobian = np.einsum("mij,mjcd->micd", gain, slopes)
-    left += piece.jump[:, :, None] * np.eye(6) - gain @ np.swapaxes(share, -1, -2)
+    cov += piece.jump[:, :, None] * np.eye(6) - gain @ np.swapaxes(cross, -1, -2)
     mean[last] += at_tip[last, :6]
     jacobian[last, :, 1] += slope[last, :6][..., still_columns(jacobian.shape[-1])]
-    return PointLoad(mean, nodes, jacobian, left)
+    return PointLoad(mean, nodes, jacobian, cov)

@@ -219,22 +219,22 @@ class MechanicalPrior(StationaryPrior):
         self.require_digits(grid)
         node = np.arange(k_count * n_count).reshape(k_count, n_count)
         touched = slice(times.start, min(times.stop + 1, k_count))
-        here, local = node[touched], state.take(touched)
+        nodes, local = node[touched], state.take(touched)
         first = times.start == 0 and grid.before is None
         chain = self.time_scale, first, np.diff(grid.time[touched])
-        yield from self.ends.factors(chain, grid, local, here)
+        yield from self.ends.factors(chain, grid, local, nodes)
         if n_count == 1:
             return
         if self.inertia is not None:
             motion = self._motion(grid.arclength)
             own = min(times.stop, k_count) - times.start
-            yield from motion.factors(first, own, grid.time[touched], here, local)
-        shape, every = (len(here), n_count - 1), self.rod.tiled(grid, len(here))
+            yield from motion.factors(first, own, grid.time[touched], nodes, local)
+        shape, every = (len(nodes), n_count - 1), self.rod.tiled(grid, len(nodes))
         start, end = (local.take(np.s_[:, part]).flatten() for part in _ENDS)
         error, slopes = interval_error(start, end, every)
         yield from chain_factors(
             *chain,
-            np.stack([here[:, :-1], here[:, 1:]], axis=2),
+            np.stack([nodes[:, :-1], nodes[:, 1:]], axis=2),
             error.reshape(*shape, RATED),
             slopes.reshape(*shape, RATED, 2, state.dof),
             self._rods.at(grid, noise_state).noise[touched],

@@ -44,7 +44,7 @@ def hanging_rod(mechanics: Mechanics, every: Intervals, base: Array) -> tuple[Ar
     for share in _SHARES:
         section = replace(every.section, **{f: share * getattr(every.section, f) for f in _WEIGHTS})
         lighter = replace(mechanics, gravity=share * mechanics.gravity)
-        shape, balanced, sound = _hanging(lighter, replace(every, section=section), base, wrench)
+        shape, balanced, sound = _newton(lighter, replace(every, section=section), base, wrench)
         if sound and share == 1.0:
             return shape
         wrench = balanced if sound else np.zeros_like(balanced)
@@ -54,28 +54,30 @@ def hanging_rod(mechanics: Mechanics, every: Intervals, base: Array) -> tuple[Ar
     )
 
 
-def _hanging(
+def _newton(
     mechanics: Mechanics, every: Intervals, base: Array, wrench: Array
 ) -> tuple[tuple[Array, Array], Array, bool]:
     """Poses and strains, base wrenches (S, 6) and whether they converged, from a first guess."""
     share = np.ones((len(base), 1))
-    pose, strain, left, slope = _shoot(mechanics, every, base, wrench)
-    miss = np.abs(left).max(axis=1)
-    close = _CLOSE * miss + 1e-15 * np.abs(every.end_stiffness).max()
+    pose, strain, residual, slope = _shoot(mechanics, every, base, wrench)
+    error = np.abs(residual).max(axis=1)
+    close = _CLOSE * error + 1e-15 * np.abs(every.end_stiffness).max()
     for _ in range(_ITERATIONS):
-        if np.all(miss <= close):
+        if np.all(error <= close):
             break
-        step = np.linalg.solve(slope, -left[..., None])[..., 0]
-        tried = wrench + share * step * (miss > close)[:, None]
+        step = np.linalg.solve(slope, -residual[..., None])[..., 0]
+        tried = wrench + share * step * (error > close)[:, None]
         shot = _shoot(mechanics, every, base, tried)
         size = np.abs(shot[2]).max(axis=1)
-        better = (size < miss) | (miss <= close)
+        better = (size < error) | (error <= close)
         share = np.where(better[:, None], np.minimum(1.0, 2.0 * share), 0.25 * share)
         wrench = np.where(better[:, None], tried, wrench)
-        old = pose, strain, left, slope
-        pose, strain, left, slope = (_where(better, *pair) for pair in zip(shot, old, strict=True))
-        miss = np.where(better, size, miss)
-    return (pose, strain), wrench, bool(np.all(miss <= close))
+        old = pose, strain, residual, slope
+        pose, strain, residual, slope = (
+            _where(better, *pair) for pair in zip(shot, old, strict=True)
+        )
+        error = np.where(better, size, error)
+    return (pose, strain), wrench, bool(np.all(error <= close))
 
 
 def _where(which: NDArray[np.bool_], one: Array, other: Array) -> Array:
@@ -102,10 +104,10 @@ def _shoot(
         by_base = ahead.transition @ by_base
     last = first + pieces - 1
     stiffness, rotation = every.end_stiffness[last], poses[-1][:, :3, :3]
-    left = stiffness * (strains[-1] - every.end_rest[last]) - mechanics.tip_wrench(rotation)
+    residual = stiffness * (strains[-1] - every.end_rest[last]) - mechanics.tip_wrench(rotation)
     slope = stiffness[:, :, None] * by_base[:, 6:]
     slope -= mechanics.tip_slope(rotation) @ by_base[:, 3:6]
-    return np.stack(poses, axis=1), np.stack(strains, axis=1), left, slope
+    return np.stack(poses, axis=1), np.stack(strains, axis=1), residual, slope
 
 
 @dataclass(frozen=True)
@@ -162,8 +164,8 @@ class LinearizedRod:
         near = piece.before(offset).flow(begin, noisy=True)
         point = State(begin.pose @ near.pose, near.wrench, begin.velocity)
         far = piece.beyond(offset).flow(point, noisy=True)
-        before = _carried(outwards[k, n], near.transition, near.noise)
-        return _inverse(before + _returned(inwards[k, n + 1], far.transition, far.noise))
+        before = _forward(outwards[k, n], near.transition, near.noise)
+        return _inverse(before + _backward(inwards[k, n + 1], far.transition, far.noise))
 
 
 class LinearizedRods:
@@ -175,14 +177,14 @@ class LinearizedRods:
 
     def at(self, grid: Grid, state: State) -> LinearizedRod:
         """Linearised rod at nodes (K, N), which is cached."""
-        self._last = self._known(grid, state) or self._linearized(grid, state)
+        self._last = self._cached(grid, state) or self._linearized(grid, state)
         return self._last
 
     def covariances(
         self, grid: Grid, state: State, k: Index, n: Index, offset: Array | None
     ) -> Array:
         """Prior covariance (M, 12, 12) of pose and strain at time nodes k, on n or beyond."""
-        rod = self._known(grid, state)
+        rod = self._cached(grid, state)
         times, which = np.unique(k, return_inverse=True)
         if rod is None and 2 * times.size < len(state.strain):  # few of many time nodes
             rod, k = self._linearized(grid, state.take(times)), which
@@ -192,24 +194,24 @@ class LinearizedRods:
         every = self._rod.tiled(grid, len(state.strain))
         return LinearizedRod(grid.arclength, state, every, self._ends.information(grid, state))
 
-    def _known(self, grid: Grid, state: State) -> LinearizedRod | None:
+    def _cached(self, grid: Grid, state: State) -> LinearizedRod | None:
         last = self._last
         same = last and last.state is state and np.array_equal(last.arclength, grid.arclength)
         return last if same else None
 
 
-def _carried(information: Array, onward: Array, noise: Array) -> Array:
+def _forward(information: Array, onward: Array, noise: Array) -> Array:
     """Information (K, 12, 12) at the end of intervals, from that at their beginning."""
     back = np.linalg.inv(onward)
-    return _blurred(np.swapaxes(back, -1, -2) @ information @ back, noise)
+    return _with_noise(np.swapaxes(back, -1, -2) @ information @ back, noise)
 
 
-def _returned(information: Array, onward: Array, noise: Array) -> Array:
+def _backward(information: Array, onward: Array, noise: Array) -> Array:
     """Information (K, 12, 12) at the beginning of intervals, from that at their end."""
-    return np.swapaxes(onward, -1, -2) @ _blurred(information, noise) @ onward
+    return np.swapaxes(onward, -1, -2) @ _with_noise(information, noise) @ onward
 
 
-def _blurred(information: Array, noise: Array) -> Array:
+def _with_noise(information: Array, noise: Array) -> Array:
     """Information (K, 12, 12) after noise is added: I − I (I + Q⁻¹)⁻¹ I, as (1 + I Q)⁻¹ I."""
     blurred = np.linalg.solve(np.eye(12) + information @ noise, information)
     return symmetrize(np.asarray(blurred, dtype=float))
