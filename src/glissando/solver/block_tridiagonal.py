@@ -1,8 +1,8 @@
 """Block-tridiagonal systems: factor, solve, marginals, log-determinant, samples.
 
-A block, or slab, holds all numbers of one time node; in a batch of static shapes it holds one
-arclength node, and slabs of different shapes are not coupled. Everything is linear in the number of
-slabs, and a factor can resume at any slab. Source: equations (20) to (22).
+A slab holds all unknowns of one time node; in a batch of static shapes it holds one arclength node,
+and slabs of different shapes are not coupled. The cost is linear in the number of slabs, and a
+factorisation can resume at any slab. Source: equations (20) to (22).
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from glissando.model.priors.transitions import symmetrize
 
 @dataclass(frozen=True)
 class BlockTridiagonal:
-    """A symmetric matrix.
+    """A symmetric block-tridiagonal matrix.
 
     Attributes:
         diagonal: Blocks (K, D, D) on the diagonal.
-        lower: Blocks (K−1, D, D) below it, lower[k] = A[k+1, k].
+        lower: Blocks (K−1, D, D) below the diagonal, lower[k] = A[k+1, k].
     """
 
     diagonal: Array
@@ -43,11 +43,11 @@ class BlockTridiagonal:
 
 @dataclass(frozen=True)
 class Marginals:
-    """Blocks of the inverse.
+    """Blocks of the inverse on the diagonal and next to it: marginal covariances.
 
     Attributes:
         cov: Covariances (K, D, D) of slabs.
-        cross: Covariances (K−1, D, D) of slabs k and k + 1.
+        cross: Covariances (K−1, D, D) between slabs k and k + 1.
     """
 
     cov: Array
@@ -56,13 +56,13 @@ class Marginals:
     def spread(
         self, slab: NDArray[np.intp], first: NDArray[np.intp], slopes: Array, left: Array
     ) -> Array:
-        """Covariance of numbers that depend on parts of neighbouring slabs.
+        """Covariance of quantities that depend linearly on parts of neighbouring slabs.
 
         Args:
             slab: Slabs (M, c) of the parts.
-            first: Their first columns (M, c).
-            slopes: Derivatives (M, r, c, size) by the numbers of the parts.
-            left: Covariance (M, r, r) that they have given the parts.
+            first: First columns (M, c) of the parts in their slabs.
+            slopes: Derivatives (M, r, c, size) with respect to the parts.
+            left: Covariance (M, r, r) of the quantities given the parts, which is added.
 
         Returns:
             Covariances (M, r, r), symmetric.
@@ -77,14 +77,14 @@ class Marginals:
 
 @dataclass(frozen=True)
 class Cholesky:
-    """Block Cholesky factor L: inverses of its diagonal blocks, and what couples slabs.
+    """Block Cholesky factor L: inverses of its diagonal blocks, and the blocks beside them.
 
     Inverses of the triangles are kept because products with them run several times faster than
     triangular solves of this size.
 
     Attributes:
-        inverse: Inverses (K, D, D), lower triangular.
-        coupling: inverse[k] A[k, k+1] (K−1, D, D).
+        inverse: Inverses (K, D, D) of the diagonal blocks, lower triangular.
+        coupling: Blocks inverse[k] A[k, k+1] (K−1, D, D), those of Lᵀ above the diagonal.
     """
 
     inverse: Array
@@ -103,7 +103,7 @@ class Cholesky:
         return x
 
     def whitened(self, rows: Array) -> Array:
-        """Rows (R, K, D) times L⁻ᵀ, whose products among each other are covariances."""
+        """Rows B (R, K, D) times L⁻ᵀ; inner products of the results are entries of B A⁻¹ Bᵀ."""
         out = np.empty_like(rows)
         for k, inverse in enumerate(self.inverse):
             own = rows[:, k] if k == 0 else rows[:, k] - out[:, k - 1] @ self.coupling[k - 1]
@@ -121,8 +121,8 @@ class Cholesky:
         """All blocks of A⁻¹ on the diagonal and next to it. Source: equation (21).
 
         Args:
-            consume: Write them over the factor, which is of no use afterwards: fresh memory would
-                cost as much time as computing them.
+            consume: Overwrite the factor, which is then invalid: allocating fresh memory would
+                take as long as the computation.
         """
         cov = self.inverse if consume else np.empty_like(self.inverse)
         cross = self.coupling if consume else np.empty_like(self.coupling)
@@ -137,9 +137,9 @@ def factor(
     """Forward block Cholesky of a positive definite matrix. Source: equation (20).
 
     Args:
-        matrix: What to factor.
-        workspace: An earlier factor of the same size, to be overwritten.
-        start: Slab from which on the matrix has changed since `workspace` was its factor.
+        matrix: The matrix.
+        workspace: An earlier factor of the same size, to be overwritten; allocated if None.
+        start: First slab at which the matrix differs from the one that `workspace` factors.
 
     Raises:
         UnobservableError: A pivot vanishes: some direction of the state has no information.
@@ -152,11 +152,11 @@ def factor(
 
 
 def eliminate(kernel: Callable[..., int], *arguments: Any) -> None:
-    """Call a kernel that factors.
+    """Call a kernel that factors a matrix, and check its pivots.
 
     Args:
-        kernel: Returns the first slab with a direction that has no information, or −1.
-        arguments: Its other arguments.
+        kernel: Kernel that returns the first slab with a vanishing pivot, or −1.
+        arguments: Arguments of the kernel.
 
     Raises:
         UnobservableError: A pivot vanishes: some direction of the state has no information.

@@ -1,8 +1,9 @@
-"""What Gauss–Newton leaves out of the Hessian: residuals times their second derivatives.
+"""Terms that Gauss–Newton omits from the Hessian: residuals times their second derivatives.
 
-Where equilibrium ties cross-sections together almost exactly, residuals are tiny and their weights
-huge; the products, the multipliers of the constraints, are as large as loads. Without them a
-wrench seems known better than by its Cramér–Rao bound wherever a turn of the rod is uncertain.
+Where equilibrium constrains neighbouring cross-sections almost exactly, residuals are tiny and
+their weights huge; the products, multipliers of the constraints, are as large as loads. Without
+these terms the covariance of a wrench falls below its Cramér–Rao bound wherever a rotation of the
+rod is uncertain.
 """
 
 from __future__ import annotations
@@ -19,23 +20,23 @@ from glissando.model.state import State
 from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
 from glissando.solver.static_equations import StaticEquations
 
-_NUDGE = 1e-3  # standard deviations, for differences
+_NUDGE = 1e-3  # standard deviations: step of the finite differences
 
 Linearize = Callable[[State], Iterator[Factors]]
 """Factors of static shapes, always in the same order, at a state (S, N)."""
 
 
 def curvature(linearize: Linearize, state: State, step: Array, std: Array) -> BlockTridiagonal:
-    """Σ λᵢ ∂²eᵢ over all factors, by differences of their gradients λᵀJ.
+    """Σ λᵢ ∂²eᵢ over all factors, by finite differences of their gradients λᵀJ.
 
-    Every second node is moved at a time, so each factor sees one of its nodes move. Source:
+    Every second node is perturbed at a time, so that only one node of each factor moves. Source:
     equation (31).
 
     Args:
-        linearize: Gives the factors.
+        linearize: Computes the factors.
         state: Nodes (S, N) near the minimum.
-        step: The Gauss–Newton step (S, N, 12) there; multipliers are those after it.
-        std: Standard deviations (S, N, 12) of the nodes, the scale of differences.
+        step: Gauss–Newton step (S, N, 12) there, after which the multipliers are evaluated.
+        std: Standard deviations (S, N, 12) of the nodes, which scale the differences.
     """
     count, n_count = state.strain.shape[:2]
     diagonal = np.zeros((count * n_count, STATIC_DOF, STATIC_DOF))
@@ -64,7 +65,7 @@ def curvature(linearize: Linearize, state: State, step: Array, std: Array) -> Bl
 
 
 def with_curvature(here: StaticEquations, added: BlockTridiagonal) -> BlockTridiagonal:
-    """The Hessian of every shape where it is positive definite, else Gauss–Newton's."""
+    """Hessian of every shape where it is positive definite, else Gauss–Newton's approximation."""
     n_count = here.rhs.shape[1]
     diagonal, lower = here.system.diagonal + added.diagonal, here.system.lower + added.lower
     for first in range(0, len(diagonal), n_count):
@@ -79,7 +80,7 @@ def with_curvature(here: StaticEquations, added: BlockTridiagonal) -> BlockTridi
 
 
 def _multiplier(batch: Factors, step: Array) -> Array:
-    """Weighted residuals (M, r) after a step of all nodes."""
+    """Weighted linearised residuals (M, r) after a step of all nodes."""
     jacobian = batch.jacobian[..., :STATIC_DOF]
     residual = batch.terms.residual + np.einsum("mrcd,mcd->mr", jacobian, step[batch.nodes])
     weighted = np.einsum("mji,mj->mi", batch.terms.sqrt_info, batch.terms.whiten(residual))

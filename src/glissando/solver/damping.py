@@ -15,10 +15,10 @@ from glissando.solver.linearize import NormalEquations
 from glissando.solver.step_search import WORTHWHILE
 
 RESCUES = (1e-11, 1e-9, 1e-7)
-"""Dampings, in parts of the scale, that give a system far from its end its digits back."""
-_FIRST, _MOST = 1e-4, 1e8  # damping after a whole step is refused; the one at which to give up
-_FINER, _FINEST = 0.01, 1e-12  # what that first damping shrinks by when it helps; its least
-_MOST_RESCUES = 5  # times that they do; then it says what it lacks
+"""Dampings, relative to the scale, tried in turn on a system that is singular by rounding."""
+_FIRST, _MOST = 1e-4, 1e8  # damping after a refused whole step; damping at which to give up
+_FINER, _FINEST = 0.01, 1e-12  # factor on the first damping each time it helps; its least value
+_MOST_RESCUES = 5  # most systems to be rescued so; then the error is raised
 
 
 _NO_DIGITS = (
@@ -30,10 +30,10 @@ _NO_DIGITS = (
 
 @contextmanager
 def saying_why(*, determined: bool) -> Iterator[None]:
-    """Say that a system is singular by rounding alone, where the prior determines every number.
+    """Attribute a singular system to rounding where the prior determines every unknown.
 
     Raises:
-        UnobservableError: It is singular.
+        UnobservableError: The system is singular.
     """
     try:
         yield
@@ -45,14 +45,14 @@ def saying_why(*, determined: bool) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Step:
-    """A step, and what it promises.
+    """A step of the linearised problem.
 
     Attributes:
-        cholesky: The factor that it comes from, damping included.
+        cholesky: Factor of the system, damping included.
         step: The step (K, D).
-        length: Its length, standard deviations.
-        predicted: The fall in cost that it promises.
-        damped: Whether it was shortened.
+        length: Length of the step, standard deviations.
+        predicted: Fall in cost that the linearisation predicts.
+        damped: Whether the step is damped.
     """
 
     cholesky: Cholesky
@@ -63,10 +63,10 @@ class Step:
 
 
 class Damping:
-    """Marquardt's damping, in parts of a scale, which adapts to how steps turn out.
+    """Marquardt's damping, relative to a scale and adapted to the gain of each step.
 
     Args:
-        determined: Whether the prior alone determines every number.
+        determined: Whether the prior alone determines every unknown.
     """
 
     def __init__(self, *, determined: bool) -> None:
@@ -75,17 +75,17 @@ class Damping:
 
     @property
     def exhausted(self) -> bool:
-        """Whether steps are damped to nothing and the cost still does not fall."""
+        """Whether the damping is at its limit and the cost still does not fall."""
         return self._value > _MOST
 
     def step(self, here: NormalEquations, workspace: Cholesky | None) -> Step:
-        """The next step, its factor written over another.
+        """Solve for the next step; its factor overwrites `workspace`.
 
-        Far from its end a system may be singular by rounding alone, its diagonal of thirteen
-        decades: where the prior determines every number, a trace of damping gives its digits back.
+        Far from the minimum a system may be singular by rounding alone, as its diagonal spans
+        thirteen decades: where the prior determines every unknown, a slight damping cures this.
 
         Raises:
-            UnobservableError: Something is undetermined.
+            UnobservableError: A direction of the state is undetermined.
         """
         if not self._value and self._rescues:
             with suppress(UnobservableError):
@@ -107,15 +107,15 @@ class Damping:
         return Step(cholesky, step, float(length), float(predicted), self._value > 0.0)
 
     def adapt(self, gain: float) -> None:
-        """Damp less after a step that kept its promise, more after one that did not.
+        """Damp less after a step that lowered the cost as predicted, more after one that did not.
 
-        Shrinking in proportion to how well the promise was kept avoids refusing every other step
-        (Nielsen, 1999). In a long valley whole steps are refused again and again, and a step that
-        is damped at all may be a thousand times too short: each time that the first damping helps,
-        the next one begins smaller, and damping falls as far before a whole step is tried.
+        Reducing the damping by an amount that depends on the gain avoids that every other step is
+        refused (Nielsen, 1999). In a long valley whole steps are refused again and again, and the
+        first damping may make a step a thousand times too short: each time that it helps, the next
+        first damping is smaller, and damping falls as far before a whole step is tried.
 
         Args:
-            gain: The part of the promised fall that came true, NaN included.
+            gain: Actual fall in cost over the predicted one; may be NaN.
         """
         at_first = self._value == self._first
         if not gain > WORTHWHILE:

@@ -1,9 +1,9 @@
 """Gauss–Newton with a trust region on the whole problem.
 
-Linearise every factor, factor the block-tridiagonal system, step; when the cost does not fall, look
-where the next step from there leads, else shorten the step by Levenberg–Marquardt damping; stop
-when what a step leaves to go is a negligible fraction of a posterior standard deviation. Source:
-equations (19) to (21).
+Linearise every factor, factor the block-tridiagonal system, step. If the cost does not fall, try
+the next step from there, else shorten the step by Levenberg–Marquardt damping. Stop when the
+distance that remains after a step is a negligible fraction of a posterior standard deviation.
+Source: equations (19) to (21).
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from glissando.solver.outcome import Outcome
 from glissando.solver.step_lengths import StepLengths
 from glissando.solver.step_search import WORTHWHILE, Where, try_step, whole_steps
 
-_ROUGH = 10.0  # standard deviations a number that a rough start may be off by
+_ROUGH = 10.0  # error allowed in a rough start, standard deviations per unknown
 _ROUGH_ITERATIONS = 15
-_PASSING = 0.01  # standard deviations a number that what is only looked at may be off by
+_PASSING = 0.01  # error allowed in an intermediate estimate, standard deviations per unknown
 
 Progress = Callable[[int, float, float], None]
 """Called after each iteration with its number, the cost and the step in standard deviations."""
@@ -39,15 +39,15 @@ Progress = Callable[[int, float, float], None]
 
 @dataclass(frozen=True)
 class SolverOptions:
-    """When to stop: after `max_iterations`, or when what is left to go is below `tolerance`.
+    """Stopping criteria: `max_iterations`, or a remaining distance below `tolerance`.
 
-    Lengths are in posterior standard deviations, over the whole state at once, so that the mean of
-    a thousand unknowns moves by far less than this in any of them.
+    Distances are Mahalanobis distances of the whole state, in posterior standard deviations, so
+    that each of a thousand unknowns moves by far less than the tolerance.
 
     Attributes:
         max_iterations: Most iterations, after the rough ones over few time nodes that find a
-            start; a report counts those, too.
-        tolerance: Length of a way that is negligible, standard deviations.
+            start; a report counts both.
+        tolerance: Remaining distance that is negligible, standard deviations.
         settled: Iterations after which weights are fixed, so that the cost can only fall.
     """
 
@@ -56,7 +56,7 @@ class SolverOptions:
     settled: int = 10
 
     def is_rough(self, numbers: int) -> bool:
-        """Whether a state of so many numbers may be off by a standard deviation in each."""
+        """Whether the tolerance allows an error of one standard deviation in every unknown."""
         return self.tolerance >= float(np.sqrt(numbers))
 
     def __post_init__(self) -> None:
@@ -71,11 +71,11 @@ class SolverOptions:
 
     @staticmethod
     def rough(numbers: int) -> SolverOptions:
-        """Options for a start that may be off by several standard deviations a number."""
+        """Options for a start that may be off by several standard deviations per unknown."""
         return SolverOptions(_ROUGH_ITERATIONS, _ROUGH * float(np.sqrt(numbers)))
 
     def rougher(self, numbers: int, off: float = _PASSING) -> SolverOptions:
-        """The same for a passing estimate, which may be `off` by standard deviations a number."""
+        """Options for an intermediate estimate, to `off` standard deviations per unknown."""
         return replace(self, tolerance=max(self.tolerance, off * float(np.sqrt(numbers))))
 
 
@@ -104,16 +104,16 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class Solution:
-    """Where the iteration ended, and the factored system its covariance comes from.
+    """State at which the iteration ended, and the factored system that gives its covariance.
 
     Attributes:
         state: Nodes (K, N).
-        located: The readings, with the sensor parameters estimated.
+        located: Readings with the estimated sensor parameters.
         equations: The last linearisation.
-        cholesky: Its factor.
-        cost: The cost where it ended, to second order.
-        outcome: How it ended.
-        iterations: How many it took.
+        cholesky: Factor of the last linearisation.
+        cost: Cost at `state`, to second order.
+        outcome: Outcome of the iteration.
+        iterations: Number of iterations.
         first_step: Length of the first step, standard deviations.
         last_step: Length of the last step.
         workspace: Memory of the system.
@@ -131,7 +131,11 @@ class Solution:
     workspace: Array
 
     def memory(self, size: int) -> tuple[Array, Cholesky]:
-        """Its own, to be overwritten, for a system of `size` numbers a slab, not above its own."""
+        """Memory of this solution, to be reused by a system of at most as many unknowns.
+
+        Args:
+            size: Unknowns of a slab of that system.
+        """
         count, square = len(self.cholesky.inverse), size * size
         parts = (self.workspace, 2 * count - 1), (self.cholesky.inverse, count)
         workspace, inverse, coupling = (
@@ -156,20 +160,20 @@ def minimize(
         prior: The prior.
         located: The readings.
         start: Nodes (K, N) to start from.
-        options: When to stop.
+        options: Stopping criteria.
         progress: Called after each iteration.
-        clock: Times the phases.
-        former: A solution of no fewer numbers whose memory is overwritten, as it is not needed.
+        clock: Stopwatch of the phases.
+        former: Solution of at least as many unknowns, no longer needed: its memory is overwritten.
 
     Raises:
-        UnobservableError: Something is undetermined, or lost in rounding.
+        UnobservableError: A direction of the state is undetermined, or lost in rounding.
     """
     with saying_why(determined=prior.fixes_base):
         return _Iteration(prior, located, start, options, clock, former).run(progress)
 
 
 class _Iteration:
-    """A problem where its iteration stands, and what its steps have shown so far."""
+    """State of an iteration: the current linearisation and the history of its steps."""
 
     def __init__(
         self,
@@ -183,13 +187,13 @@ class _Iteration:
         self._prior, self._options, self._clock = prior, options, clock
         self._workspace, self._cholesky = _memory(located, start, former)
         self._here = self._at((start, located))
-        self._fixed: NormalEquations | None = None  # whose weights are kept, if they are
+        self._fixed: NormalEquations | None = None  # linearisation whose weights are kept
         self._renewed: Array | None = None  # the last step that followed renewed weights
         self._steps = StepLengths(options.tolerance, kinks=located.moves, weighted=located.weighted)
         self._damping, self._count, self._bent = Damping(determined=prior.fixes_base), 0, False
 
     def run(self, progress: Progress | None) -> Solution:
-        """Take steps until it ends."""
+        """Take steps until a stopping criterion is met."""
         while True:
             way = self._next_step(progress)
             here, of_here = self._here, self._fixed is None or self._fixed is self._here
@@ -207,7 +211,7 @@ class _Iteration:
                 return self._solution((here.state, here.located), cholesky, outcome)
 
     def _next_step(self, progress: Progress | None) -> Step:
-        """The next step, its length noted."""
+        """Solve for the next step and record its length."""
         here, renewed = self._here, self._fixed is self._here
         with self._clock("solve"):
             way = self._damping.step(here, self._cholesky)
@@ -220,7 +224,7 @@ class _Iteration:
         return way
 
     def _confirmed_end(self, way: Step) -> Where | None:
-        """Where a short step leads, if the next one from there is as short as it promised."""
+        """End of a short step if the next step from there is as short as predicted, else None."""
         sure = self._options.is_rough(self._here.rhs.size) or not self._steps.doubtful
         for end in whole_steps(self._prior, self._here, way.step):
             if sure or self._steps.confirms(self._next_length(end, way.cholesky)):
@@ -228,13 +232,13 @@ class _Iteration:
         return None
 
     def _next_length(self, end: Where, cholesky: Cholesky) -> float:
-        """Length of the step that would follow, by the gradient and the system before."""
+        """Length of the next step, from the gradient at `end` and the factor before."""
         with self._clock("linearise"):
             rhs = gradient(self._prior, end[1], end[0], *_weights(end, self._fixed))
         return float(np.sqrt(np.sum(rhs * cholesky.solve(rhs))))
 
     def _take(self, way: Step) -> Outcome | None:
-        """Go where the step leads, as far as that is worth it; how the iteration ends, if so."""
+        """Take the step as far as the cost falls; the outcome if the iteration ends, else None."""
         if self._count == self._options.settled:
             self._fixed = self._here
         self._here, gain, self._bent = try_step(
@@ -251,7 +255,7 @@ class _Iteration:
         return Outcome.ITERATION_LIMIT if self._count >= self._options.max_iterations else None
 
     def _creeps_to_its_end(self, memory: Cholesky) -> bool:
-        """Whether steps are damped, and a whole one with renewed weights would be negligible."""
+        """Whether the last steps were damped and a whole one with renewed weights is negligible."""
         if not self._steps.creep:
             return False
         here = self._here = self._fixed = self._at((self._here.state, self._here.located))
@@ -272,14 +276,14 @@ class _Iteration:
 
 
 def _weights(where: Where, fixed: NormalEquations | None) -> tuple[State, list[Residuals] | None]:
-    """The state that weights come from, and the terms whose weights are kept, if they are."""
+    """State that weights are computed from, and terms whose weights are kept, or None."""
     return (where[0], None) if fixed is None else (fixed.noise_state, fixed.terms)
 
 
 def _memory(
     located: LocatedReadings, start: State, former: Solution | None
 ) -> tuple[Array, Cholesky | None]:
-    """One memory for all systems, as fresh memory would cost more than the sums, and a factor's."""
+    """Memory of all systems and of a factor, as allocating anew would cost more than the sums."""
     size = located.parameters.process.size + start.numbers
     if former is not None:
         return former.memory(size)

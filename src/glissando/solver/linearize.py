@@ -1,4 +1,4 @@
-"""From prior and readings, linearised at a state, to the normal equations."""
+"""Linearisation of prior and readings at a state, summed into normal equations."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class NormalEquations:
 
     Attributes:
         state: Nodes (K, N) at which it is linearised.
-        located: The readings, where the sensor parameters put them.
-        noise_state: Nodes (K, N) from which the weights come.
-        system: JᵀJ; a slab (D) holds N · dof numbers of the nodes, then E of sensor parameters.
+        located: Readings, located with the sensor parameters.
+        noise_state: Nodes (K, N) from which the weights are computed.
+        system: JᵀJ; the D unknowns of a slab are N · dof of the nodes, then E sensor parameters.
         rhs: −Jᵀr (K, D).
         terms: Residuals of every factor, always in the same order.
     """
@@ -39,7 +39,7 @@ class NormalEquations:
     terms: list[Residuals]
 
     def cost_of(self, other: NormalEquations) -> float:
-        """Cost of another state's residuals under the weights of this one."""
+        """Cost of the residuals at another state under the weights of this one."""
         return sum(
             own.cost(theirs.residual) for own, theirs in zip(self.terms, other.terms, strict=True)
         )
@@ -62,10 +62,11 @@ class NormalEquations:
 
     @property
     def scale(self) -> Array:
-        """What steps are damped by in parts of: the diagonal (K, D) that a move alone meets.
+        """Scale (K, D) of the damping: the system's diagonal without the drift of parameters.
 
-        A sensor parameter that hardly drifts is tied so firmly from time to time that by the whole
-        diagonal any damping would hold it. What ties it is left out, as it moves at all times.
+        A sensor parameter that hardly drifts is coupled so strongly between time nodes that any
+        damping relative to the whole diagonal would stop it. Its drift is left out, as such a
+        parameter moves by the same step at all times.
         """
         scale = np.einsum("kii->ki", self.system.diagonal).copy()
         process = self.located.parameters.process
@@ -79,7 +80,7 @@ class NormalEquations:
         return scale
 
     def split(self, step: Array) -> tuple[Array, Array]:
-        """A step (K, D) as that of the nodes (K, N, dof) and that of the parameters (K, E)."""
+        """Split a step (K, D) into those of the nodes (K, N, dof) and of the parameters (K, E)."""
         k_count, n_count = self.located.grid.shape
         of_nodes = n_count * self.state.dof
         return step[:, :of_nodes].reshape(k_count, n_count, -1), step[:, of_nodes:]
@@ -99,10 +100,10 @@ def linearize(
         prior: The prior.
         located: The readings.
         state: Nodes (K, N) to linearise at.
-        noise_state: Nodes (K, N) whose rates the weights come from; they count as constants.
-        workspace: Memory for the system, of `system_shape`, used again: it is the largest. One of
-            its own unless given.
-        fixed_weights: Terms of an earlier linearisation whose weights are to be used as they are.
+        noise_state: Nodes (K, N) from whose rates the weights are computed, as constants.
+        workspace: Memory of `system_shape` for the system, the largest array, which is
+            overwritten; allocated if None.
+        fixed_weights: Terms of an earlier linearisation whose weights are used unchanged.
     """
     layout = layout_of(located, state)
     builder = NormalEquationsBuilder.joined(layout, located.grid.time.size, workspace)
@@ -117,14 +118,14 @@ def gradient(
     noise_state: State,
     fixed_weights: Sequence[Residuals] | None = None,
 ) -> Array:
-    """What `linearize` has on the right (K, D), without the system."""
+    """Right-hand side −Jᵀr (K, D) of `linearize`, without the system."""
     sums = Gradient(layout_of(located, state), located.grid.time.size)
     _accumulate(sums, prior, located, (state, noise_state), fixed_weights)
     return sums.rhs
 
 
 def layout_of(located: LocatedReadings, state: State) -> Layout:
-    """How the numbers of a slab are laid out: those of its nodes, then of sensor parameters."""
+    """Layout of the unknowns of a slab: those of its nodes, then sensor parameters."""
     return Layout(located.grid.arclength.size, state.dof, located.parameters.process.size)
 
 
@@ -135,7 +136,7 @@ def _accumulate(
     states: tuple[State, State],
     fixed_weights: Sequence[Residuals] | None,
 ) -> list[Residuals]:
-    """Sum all factors at a state, with weights from another; their residuals."""
+    """Sum all factors at the first state, weights from the second; return the residuals."""
     grid, terms = located.grid, list[Residuals]()
     prior = located.factor_prior(prior)
     for times in located.blocks:
@@ -162,7 +163,7 @@ def _accumulate(
 
 
 def _with_weights(batch: Factors, sqrt_info: Array | None) -> Factors:
-    """The batch with other whiteners, if they are given."""
+    """The batch, with these whiteners if given."""
     if sqrt_info is None:
         return batch
     return replace(batch, terms=replace(batch.terms, sqrt_info=sqrt_info))

@@ -1,4 +1,4 @@
-"""Readings on a grid: where sensor parameters put them, by block of time and by part of a cell."""
+"""Readings located on a grid: by block of time nodes, and on a node, a grid line or in a cell."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 
-_FACTORS = 700  # prior factors linearised together: fewer waste calls, more outgrow the caches
+_FACTORS = 700  # prior factors linearised together: fewer cost more calls, more exceed the caches
 
 
 def time_blocks(grid: Grid) -> list[slice]:
@@ -33,8 +33,8 @@ class ReadingBatch:
     """Readings that touch equally many nodes.
 
     Attributes:
-        points: Where they lie, stream after stream.
-        streams: Of each stream its number, which of its rows, and those readings.
+        points: Places and times of the readings, stream after stream.
+        streams: For each stream its number, the rows of its readings, and these readings.
     """
 
     points: Points
@@ -43,16 +43,16 @@ class ReadingBatch:
 
 @dataclass(frozen=True)
 class LocatedReadings:
-    """All readings with the cells they fall in.
+    """All readings with the grid cells that contain them.
 
     Attributes:
         grid: The nodes.
-        streams: The readings of each sensor, as they were taken.
+        streams: Readings of each sensor, before sensor parameters displace them.
         parameters: Values of the sensor parameters that are estimated.
         blocks: Runs of time nodes that are linearised together.
-        batches: The readings of each block, by the part of a cell in which they lie.
-        motion: Nodes (K, N) by whose motion delays are seen; those linearised at unless given.
-        shares: By stream, how much of that motion's slope counts; all unless given.
+        batches: Readings of each block: on a node, on a grid line, or inside a cell.
+        motion: Nodes (K, N) whose motion gives derivatives by delays; those linearised at if None.
+        shares: Factor on these derivatives by name of the stream; 1 for streams not listed.
     """
 
     grid: Grid
@@ -65,7 +65,7 @@ class LocatedReadings:
 
     @property
     def moves(self) -> bool:
-        """Whether sensor parameters decide where or when readings were taken."""
+        """Whether sensor parameters shift the arclengths or times of readings."""
         return any(parameter.moves for parameter in self.parameters.process.each)
 
     @property
@@ -74,12 +74,12 @@ class LocatedReadings:
         return any(stream.loss is not None for stream in self.streams)
 
     def factor_prior(self, prior: Prior) -> Prior:
-        """The prior whose factors go with these readings, which may resolve the body's axes."""
+        """The prior, without transport by roll if any of the readings resolve the body's axes."""
         tell = any(stream.resolves_axes for stream in self.streams)
         return without_roll_transport(prior) if tell else prior
 
     def moved(self, step: Array) -> LocatedReadings:
-        """The readings after a step (K, E) of the sensor parameters, located anew if they move."""
+        """The readings after a step (K, E) of the sensor parameters, located again if shifted."""
         if not step.any():
             return self
         parameters = replace(self.parameters, values=self.parameters.values + step)
@@ -97,18 +97,18 @@ def locate(
     *,
     keep_all: bool = False,
 ) -> LocatedReadings:
-    """Find the cells of a grid that readings fall in.
+    """Find the grid cells that contain the readings.
 
     Args:
         grid: The nodes.
         readings: The readings of each sensor.
         sensor_parameters: Parameters of the sensors; those that are known are left out.
-        values: Values (K, E) of the estimated ones; expected ones unless given.
-        keep_all: Keep parameters that no sensor has, too.
+        values: Values (K, E) of the estimated parameters; their expected values if None.
+        keep_all: Keep also parameters of sensors that have no readings.
 
     Raises:
-        OutsideGridError: A reading lies off the grid.
-        SensorError: A sensor slides in a channel and was not placed.
+        OutsideGridError: A reading lies outside the grid.
+        SensorError: A sensor slides in a channel and its arclengths have not been computed.
     """
     streams = [r for r in readings if len(r)]
     for r in streams:
@@ -143,10 +143,10 @@ def _joined(streams: Sequence[Readings]) -> tuple[Array, Array]:
 def _batches(
     grid: Grid, streams: Sequence[Readings], parameters: ParameterValues, blocks: Sequence[slice]
 ) -> list[list[ReadingBatch]]:
-    """The readings of every block, sorted by the part of a cell, then by stream.
+    """Readings of every block: on a node, on a grid line or in a cell; then by stream.
 
-    Those that parameters move off the grid are kept at its end. On a grid that continues another
-    those of before are left out: they were counted there.
+    Readings that parameters shift off the grid are clamped to its ends. On a grid that continues
+    another, readings before its start are left out: they were used on the earlier grid.
     """
     if not streams:
         return [[] for _ in blocks]
@@ -181,7 +181,7 @@ def _batches(
 
 
 def _kept_on(grid: Grid, readings: Readings) -> Readings:
-    """Readings with what lies off the grid at its end."""
+    """Readings with arclengths and times clamped to the grid."""
     return readings.changed(
         arclength=np.clip(readings.arclength, grid.arclength[0], grid.arclength[-1]),
         time=np.clip(readings.time, grid.time[0], grid.time[-1]),

@@ -1,4 +1,4 @@
-"""Factors of readings: residuals where they were taken, their slopes by nodes and parameters."""
+"""Factors of readings: residuals, and their Jacobians by grid nodes and sensor parameters."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from glissando.solver.located_readings import LocatedReadings, ReadingBatch
 from glissando.solver.spanning_factors import interpolated, spanning_factor
 
 _WAYS = ("arclength", "time")
-_ROUNDED = 16.0  # roundings of a time by which a slope is found, at least
+_ROUNDED = 16.0  # least step of a finite difference, in units of the rounding of a time
 
 
 def measurement_factors(
     prior: Prior, located: LocatedReadings, state: State, noise_state: State
 ) -> Iterator[tuple[int, Index, Factors]]:
-    """Factors of readings, covariance widened by the bridge. Source: (13).
+    """Factors of readings, covariance widened by that of the interpolation. Source: (13).
 
     Args:
-        prior: What lies between the nodes.
+        prior: Prior that interpolates between the nodes.
         located: The readings.
         state: Nodes (K, N) to linearise at.
-        noise_state: Nodes (K, N) whose rates the bridge's noise comes from.
+        noise_state: Nodes (K, N) from whose rates the interpolation's covariance is computed.
 
     Yields:
-        Number of the stream, which of its rows, and their factors.
+        Number of the stream, the rows of the readings in it, and their factors.
     """
     for batch in chain.from_iterable(located.batches):
         at = prior.interpolate(located.grid, state, noise_state, batch.points)
@@ -55,7 +55,7 @@ def measurement_factors(
             if isinstance(readings, AccelerometerReadings):
                 place = located.grid, state, noise_state, readings.arclength, readings.time
                 own = accelerated(prior, *place, float(readings.span[0]))
-            aside, beside = None, readings.beside  # on a start's coarser nodes the place is held
+            aside, beside = None, readings.beside  # on a start's coarser nodes places are fixed
             if beside is not None and beside.shape[2] == located.grid.arclength.size:
                 aside = _along(prior, located.grid, state, noise_state, readings)
             yield stream, rows, _factor(readings, own, located.parameters, slopes[stream], aside)
@@ -68,9 +68,10 @@ def _factor(
     slopes: dict[str, Array],
     aside: Interpolation | None = None,
 ) -> Factors:
-    """Factors of readings at the states `at`, which have slopes (M, 18) along arclength or time.
+    """Factors of readings at states `at`, with the states' slopes (M, 18) in arclength or time.
 
-    Where they were taken depends on the states (M · N) at all arclength nodes `aside`, if given.
+    The arclengths of the readings depend on the states `aside` (M · N) at all arclength nodes, if
+    these are given.
     """
     if readings.accelerates and any(p.moves for p, _ in parameters.of(readings)):
         raise SensorError(
@@ -113,14 +114,14 @@ def _factor(
 def _with_travel(
     nodes: Index, by_nodes: Array, lean: Array, slope: Array, aside: Interpolation
 ) -> tuple[Index, Array]:
-    """Nodes and slopes of readings whose arclength depends on the strain along the robot.
+    """Nodes and Jacobians of readings whose arclength depends on the strain along the robot.
 
     Args:
-        nodes: Nodes (M, c) of the place itself.
-        by_nodes: Slopes (M, r, c, dof) by them.
-        lean: Slopes (M, r) of the residuals by the arclength.
-        slope: Slopes (M, N, 6) of the arclength by the strain at the arclength nodes.
-        aside: Those strains at the times of the readings.
+        nodes: Nodes (M, c) around the readings.
+        by_nodes: Jacobians (M, r, c, dof) of the residuals by these nodes.
+        lean: Derivatives (M, r) of the residuals by the arclength.
+        slope: Derivatives (M, N, 6) of the arclength by the strain at the arclength nodes.
+        aside: States at the arclength nodes at the times of the readings.
 
     Source: (M8).
     """
@@ -139,7 +140,7 @@ def _with_travel(
 def _along(
     prior: Prior, grid: Grid, state: State, noise_state: State, readings: Readings
 ) -> Interpolation:
-    """The states (M · N) at all arclength nodes at the times of readings that touch alike many."""
+    """States (M · N) at all arclength nodes at the times of readings, all on or all off nodes."""
     count = grid.arclength.size
     place = np.tile(grid.arclength, len(readings)), np.repeat(readings.time, count)
     (points,) = sort_points(grid, *place)
@@ -155,7 +156,7 @@ def _by_parameters(
     slopes: dict[str, Array],
     now: Array,
 ) -> Iterator[tuple[slice, Array]]:
-    """Columns, and slopes (M, r, size) of residuals, of each sensor parameter of the readings."""
+    """Columns and Jacobians (M, r, size) of residuals for each sensor parameter of the readings."""
     still = [(parameter, columns) for parameter, columns in own if not parameter.moves]
     values = [(parameter, now[:, columns]) for parameter, columns in still]
     slope = by_parameters(readings, corrected, at.state, by_state, values)
@@ -169,7 +170,7 @@ def _by_parameters(
 def _slopes(
     prior: Prior, located: LocatedReadings, state: State, batch: ReadingBatch
 ) -> dict[int, dict[str, Array]]:
-    """Slopes (M, 18) of the state that each stream of a batch needs, along arclength or time."""
+    """Slopes (M, 18) of the state in arclength and time, as far as each stream needs them."""
     out: dict[int, dict[str, Array]] = {stream: {} for stream, _, _ in batch.streams}
     for way in _WAYS:
         moved = [(i, r) for i, _, r in batch.streams if _is_moved(r, located, way)]
@@ -188,7 +189,7 @@ def _slopes(
 
 
 def _is_moved(readings: Readings, located: LocatedReadings, way: str) -> bool:
-    """Whether it is uncertain where along `way` readings were taken."""
+    """Whether the arclength or time of readings, as named by `way`, is uncertain."""
     if readings.spans or readings.accelerates:
         return False
     if way == "arclength" and (readings.beside is not None or np.any(readings.arclength_std)):
@@ -201,7 +202,7 @@ def state_slope(
 ) -> Array:
     """Slope (M, 18) of the state along `way`, arclength or time, at points (M,) of the grid.
 
-    Zero along a way on which the grid has a single node.
+    The slope is zero along a direction in which the grid has a single node.
     """
     nodes, points, m = getattr(grid, way), [arclength, time], time.size
     if nodes.size == 1:
@@ -217,12 +218,12 @@ def state_slope(
 
 
 def states_at(prior: Prior, grid: Grid, state: State, arclength: Array, time: Array) -> State:
-    """The mean at points (M,) of the grid, of nodes (K, N)."""
+    """Mean at points (M,) of the grid, interpolated between nodes (K, N)."""
     return interpolated(prior, grid, state, state, arclength, time)[0]
 
 
 def _checked(readings: Readings, at: Interpolation) -> tuple[Array, Array]:
-    """Residual (M, r) and its Jacobian (M, r, 18), refused unless of that shape and finite."""
+    """Residual (M, r), checked to be finite, and its Jacobian (M, r, 18); shapes are checked."""
     m = at.nodes.shape[0]
     residual = readings.residual(at.state)
     dof = at.jacobian.shape[1]

@@ -16,12 +16,12 @@ from glissando.solver.block_tridiagonal import BlockTridiagonal
 
 @dataclass(frozen=True)
 class Layout:
-    """How the numbers of a slab are laid out: `nodes` · `dof`, then those of sensor parameters.
+    """Layout of the unknowns of a slab: `nodes` · `dof`, then those of sensor parameters.
 
     Attributes:
         nodes: Nodes of a slab: arclength nodes of a time, or 1 in a batch of static shapes.
         dof: Degrees of freedom of a node.
-        parameters: How many numbers the estimated sensor parameters have.
+        parameters: Number of unknowns of the estimated sensor parameters.
     """
 
     nodes: int
@@ -30,23 +30,23 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """How many numbers a slab has."""
+        """Number of unknowns of a slab."""
         return self.nodes * self.dof + self.parameters
 
 
 def system_shape(count: int, size: int) -> tuple[int, int, int]:
-    """Shape of a workspace for `count` slabs of `size` numbers: diagonal blocks, then lower."""
+    """Shape of a workspace for `count` slabs of `size` unknowns: diagonal blocks, then lower."""
     return 2 * count - 1, size, size
 
 
 class NormalEquationsBuilder:
     """JᵀJ and −Jᵀr of factors, summed by the interval between slabs in which they lie.
 
-    What an interval adds to the slab where it begins and to the one where it ends may be kept
-    apart, so that some intervals can be summed anew and others kept.
+    The sums at the beginning and at the end of intervals may be stored separately, so that some
+    intervals can be summed again while others are kept.
 
     Attributes:
-        layout: How the numbers of a slab are laid out.
+        layout: Layout of the unknowns of a slab.
         begin: Blocks (K, D, D) of the slabs where intervals begin.
         end: Blocks of the slabs where they end, (K, D, D) or the same memory as `begin`.
         across: Blocks (K−1, D, D) that couple an interval's end (rows) with its beginning.
@@ -67,7 +67,7 @@ class NormalEquationsBuilder:
     def joined(
         layout: Layout, count: int, workspace: Array | None = None
     ) -> NormalEquationsBuilder:
-        """A builder of `count` slabs that keeps no interval apart; memory of `system_shape`."""
+        """Builder of `count` slabs that adds both ends into one memory of `system_shape`."""
         if workspace is None:
             workspace = np.empty(system_shape(count, layout.size))
         begin, rhs = workspace[:count], np.empty((count, layout.size))
@@ -75,7 +75,7 @@ class NormalEquationsBuilder:
 
     @staticmethod
     def apart(layout: Layout, count: int) -> NormalEquationsBuilder:
-        """A builder of `count` slabs that keeps what an interval adds to both of its ends apart."""
+        """Builder of `count` slabs that stores the sums at both ends of intervals separately."""
         begin, end, across = np.empty((3, count, layout.size, layout.size))
         return NormalEquationsBuilder(
             layout, begin, end, across[1:], *np.empty((2, count, layout.size))
@@ -83,7 +83,7 @@ class NormalEquationsBuilder:
 
     @property
     def sums(self) -> tuple[Array, ...]:
-        """All sums, as kernels take them."""
+        """All sums, in the order of the kernels' arguments."""
         return self.begin, self.end, self.across, self.rhs_begin, self.rhs_end
 
     def accumulate(self, batch: Factors, weights: Array | None = None) -> None:
@@ -101,11 +101,11 @@ class NormalEquationsBuilder:
         )
 
     def accumulate_drift(self, decay: Array, std: Array, residual: Array) -> None:
-        """Add sensor parameters that fade from slab to slab. Source: equation (18).
+        """Add the drift factors of sensor parameters between slabs. Source: equation (18).
 
         Args:
-            decay: What is left (K−1, E) of a parameter at the next slab.
-            std: Standard deviations (K, E) of the innovations, infinite where there is none.
+            decay: Factors (K−1, E) by which parameters decay to the next slab.
+            std: Standard deviations (K, E) of the innovations, infinite where there is no factor.
             residual: Innovations (K, E).
         """
         info = std**-2.0
@@ -121,7 +121,7 @@ class NormalEquationsBuilder:
             self.rhs_end[k, at] -= later * miss
 
     def system(self) -> BlockTridiagonal:
-        """The sums as a block-tridiagonal matrix, unless they are kept by interval."""
+        """The sums as a block-tridiagonal matrix; only of a builder made by `joined`."""
         return BlockTridiagonal(self.begin, self.across)
 
 
@@ -132,7 +132,7 @@ class Gradient:
         self.layout, self.rhs = layout, np.zeros((count, layout.size))
 
     def accumulate(self, batch: Factors, weights: Array | None = None) -> None:
-        """Take a batch of factors off; `weights` (M,) replace those of its loss.
+        """Subtract Jᵀr of a batch of factors; `weights` (M,) replace those of its loss.
 
         Source: equation (19).
         """
@@ -151,15 +151,15 @@ class Gradient:
             self._take(begin[:, None] + columns, pull @ batch.extras[..., : columns.size])
 
     def _take(self, at: NDArray[np.intp], values: Array) -> None:
-        """Take values off the sums at flat indices, some of which may be there many times."""
+        """Subtract values from the sums at flat indices, which may repeat."""
         flat = self.rhs.reshape(-1)
         flat -= np.bincount(at.ravel(), values.ravel(), flat.size)
 
     def accumulate_drift(self, decay: Array, std: Array, residual: Array) -> None:
-        """Take off what sensor parameters say that fade from slab to slab. Source: equation (18).
+        """Subtract Jᵀr of the drift factors of sensor parameters. Source: equation (18).
 
         Args:
-            decay: What is left (K−1, E) of a parameter at the next slab.
+            decay: Factors (K−1, E) by which parameters decay to the next slab.
             std: Standard deviations (K, E) of the innovations.
             residual: Innovations (K, E).
         """
@@ -170,7 +170,7 @@ class Gradient:
 
 
 def kernel_arguments(batch: Factors) -> tuple[Array | int, ...]:
-    """A batch of factors as kernels take it."""
+    """Arguments by which a batch of factors is passed to kernels."""
     m, r = batch.terms.residual.shape
     extras = np.zeros((m, r, 0)) if batch.extras is None else whole(batch.extras)
     fields = batch.jacobian, batch.terms.residual, batch.terms.sqrt_info

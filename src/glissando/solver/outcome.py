@@ -1,4 +1,4 @@
-"""How an iterative solver ended: one enumeration for all of them, each member a sentence."""
+"""Outcomes of iterative solvers: one enumeration for all of them, each member a sentence."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class Outcome(Enum):
-    """How a solver ended: `sentence` says what happened, `remedy` what to do about it."""
+    """Outcome of a solver: `sentence` says what happened, `remedy` what to do about it."""
 
     CONVERGED = ("converged", "")
     UPDATED = ("updated online", "")

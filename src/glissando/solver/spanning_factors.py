@@ -19,27 +19,28 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.state import DOF, STRAIN, State
 from glissando.solver.located_readings import LocatedReadings
 
-_PIECES = 4  # of an interval between nodes, at least
-_JOINT = 1e-6  # m: what lies just before a joint is no interval
+_PIECES = 4  # least number of pieces of an interval between nodes
+_JOINT = 1e-6  # m: nodes no farther apart are the two sides of a joint, without an interval
 
 Parts = list[tuple[Index, Interpolation]]
-"""Which of some points, and the states there."""
+"""Indices of points, and the interpolated states there."""
 
 
 def spanning_factor(
     readings: Readings, prior: Prior, located: LocatedReadings, state: State, noise_state: State
 ) -> Factors:
-    """Factors of readings that depend on the whole robot at their time, between its nodes, too.
+    """Factors of readings that depend on the whole robot at their time, also between its nodes.
 
-    What the bridge in time leaves open counts as fully correlated along the robot, which it nearly
-    is. That along the robot, as it is at a time node, moves poses to one side between two nodes.
+    The error of interpolation in time counts as fully correlated along the robot, which it nearly
+    is. The error of interpolation in arclength is taken at a time node; it displaces all poses
+    between two nodes to one side.
 
     Args:
         readings: Readings (M,).
-        prior: What lies between the nodes.
-        located: All readings, whose grid it is.
+        prior: Prior that interpolates between the nodes.
+        located: All readings and their grid.
         state: Nodes (K, N) to linearise at.
-        noise_state: Nodes (K, N) whose rates the bridge's noise comes from.
+        noise_state: Nodes (K, N) from whose rates the interpolation's covariance is computed.
 
     Raises:
         SensorError: A sensor parameter shifts the readings.
@@ -66,7 +67,7 @@ def spanning_factor(
 
 
 def _refined(nodes: Array, longest: float) -> Array:
-    """Nodes, and places between them no farther apart than that."""
+    """Nodes, and places between them that are at most `longest` apart."""
     out = [nodes]
     for begin, end in pairwise(nodes):
         pieces = max(_PIECES, int(np.ceil((end - begin) / longest)))
@@ -76,12 +77,12 @@ def _refined(nodes: Array, longest: float) -> Array:
 
 
 def _through(parts: Parts, by_state: Array, n_count: int) -> tuple[Index, Array]:
-    """Nodes (M, c) of readings, and slopes (M, c, r, dof) by them.
+    """Nodes (M, c) that readings depend on, and Jacobians (M, c, r, dof) by them.
 
     Args:
-        parts: States at the places of each reading, readings after readings.
-        by_state: Slopes (M, r, places, 18) by the states there.
-        n_count: Arclength nodes.
+        parts: Interpolated states at the places of each reading, reading after reading.
+        by_state: Jacobians (M, r, places, 18) by the states at the places.
+        n_count: Number of arclength nodes.
     """
     (m, rows, places, _), dof = by_state.shape, parts[0][1].dof
     first, last = np.full(m, np.iinfo(np.intp).max), np.zeros(m, dtype=np.intp)
@@ -100,7 +101,7 @@ def _through(parts: Parts, by_state: Array, n_count: int) -> tuple[Index, Array]
 
 
 def _open(parts: Parts, places: int) -> Array:
-    """What interpolation leaves open of states (M, P, 18, 18) at the places of each reading."""
+    """Covariances (M, P, 18, 18) of interpolation given the nodes, at the places of readings."""
     cov: Array = np.empty((sum(rows.size for rows, _ in parts), DOF, DOF))
     for rows, part in parts:
         cov[rows] = part.cov
@@ -108,7 +109,7 @@ def _open(parts: Parts, places: int) -> Array:
 
 
 def _between(cov: Array, s: Array, nodes: Index) -> Array:
-    """Covariances (M, P, 18, 18) at places `s` (P,) on lines between those at the nodes."""
+    """Covariances (M, P, 18, 18) at places `s` (P,), linear between those at the nodes."""
     begin = nodes[np.searchsorted(nodes[1:-1], np.arange(s.size), side="right")]
     end = nodes[np.searchsorted(nodes, begin) + 1]
     share = ((s - s[begin]) / (s[end] - s[begin]))[:, None, None]
@@ -116,23 +117,29 @@ def _between(cov: Array, s: Array, nodes: Index) -> Array:
 
 
 def _in_time(by_state: Array, cov: Array) -> Array:
-    """What the bridge in time leaves open (M, r, r), by slopes (M, r, P, 18) at the places."""
+    """Covariances (M, r, r) of readings from interpolation in time.
+
+    Args:
+        by_state: Jacobians (M, r, P, 18) by the states at the places.
+        cov: Covariances (M, P, 18, 18) of these states given the nodes.
+    """
     common = np.sum(by_state.swapaxes(1, 2) @ symmetric_root(cov), axis=1)
     left: Array = common @ common.swapaxes(1, 2)
     return left
 
 
 def _along(by_strain: Array, cov: Array, s: Array, nodes: Index) -> Array:
-    """What the bridges between nodes leave open (M, r, r), each an error of its own.
+    """Covariances (M, r, r) of readings from interpolation in arclength.
 
-    The strain's error is the slope of the pose's, which is zero at the nodes: where a straight
-    channel goes on beyond an interval nothing is open.
+    Errors of different intervals are independent. The strain's error is the derivative of the
+    pose's, which is zero at the nodes: it cancels where a straight channel continues beyond an
+    interval.
 
     Args:
-        by_strain: Slopes (M, r, P, 6) by the strain at places.
-        cov: What is open of the poses there (M, P, 6, 6) at a time node: nothing at nodes.
-        s: The places (P,), m.
-        nodes: Which of them are nodes.
+        by_strain: Jacobians (M, r, P, 6) by the strain at places.
+        cov: Covariances (M, P, 6, 6) of the poses there given the nodes, at a time node.
+        s: Arclengths (P,) of the places, m.
+        nodes: Indices of the nodes among the places.
     """
     steps, root = np.diff(s), symmetric_root(cov)
     weight = by_strain / (0.5 * (np.append(steps, 0.0) + np.append(0.0, steps)))[:, None]
@@ -145,15 +152,15 @@ def _along(by_strain: Array, cov: Array, s: Array, nodes: Index) -> Array:
 def interpolated(
     prior: Prior, grid: Grid, state: State, noise_state: State, arclength: Array, time: Array
 ) -> tuple[State, Parts]:
-    """States at points (M,) of the grid, and how they were found.
+    """States at points (M,) of the grid, and the interpolations that yield them.
 
     Args:
-        prior: What lies between the nodes.
+        prior: Prior that interpolates between the nodes.
         grid: The nodes.
         state: Nodes (K, N).
-        noise_state: Nodes (K, N) whose rates the bridge's noise comes from.
-        arclength: Where, m.
-        time: When, s.
+        noise_state: Nodes (K, N) from whose rates the interpolation's covariance is computed.
+        arclength: Arclengths (M,) of the points, m.
+        time: Times (M,) of the points, s.
     """
     out, parts = State(np.empty((time.size, 4, 4)), *np.empty((2, time.size, 6))), []
     for points in sort_points(grid, arclength, time):

@@ -1,4 +1,4 @@
-"""The square root of a chain's information by QR: twice the digits of the normal equations.
+"""Square root of the information matrix by QR: twice the digits of the normal equations.
 
 Source: Bierman, *Factorization Methods for Discrete Sequential Estimation* (1977).
 """
@@ -20,11 +20,11 @@ from glissando.model.memory import require_memory
 
 @dataclass(frozen=True)
 class RootInformation:
-    """An upper triangular R with Rᵀ R the information of all numbers.
+    """Upper triangular R such that Rᵀ R is the information matrix of all unknowns.
 
     Attributes:
         diagonal: Blocks (K, D, D) of the time nodes, upper triangular.
-        beside: Blocks (K−1, D, D) to the right of them.
+        beside: Blocks (K−1, D, D) to the right of the diagonal.
     """
 
     diagonal: Array
@@ -34,7 +34,7 @@ class RootInformation:
         """One draw (K, D) from N(0, (Rᵀ R)⁻¹).
 
         Args:
-            rng: Source of all chance.
+            rng: Random number generator.
         """
         x: Array = rng.standard_normal(self.diagonal.shape[:2])
         with one_thread():
@@ -48,15 +48,15 @@ class RootInformation:
 def root_information(
     factors: Iterable[Factors], shape: tuple[int, int], dof: int
 ) -> RootInformation:
-    """The square root of what factors on a grid say together.
+    """Square root of the information matrix of factors on a grid.
 
     Args:
         factors: Factors without extras, each of one time node or two neighbours.
         shape: Time nodes and arclength nodes (K, N) of the grid.
-        dof: Numbers of a node.
+        dof: Degrees of freedom of a node.
 
     Raises:
-        OutsideGridError: There is no memory for it.
+        OutsideGridError: The matrix does not fit in memory.
     """
     count, size = shape[0], shape[1] * dof
     require_memory(
@@ -87,7 +87,7 @@ def root_information(
 
 
 def _spread(columns: Index, slopes: Array, width: int) -> Array:
-    """Rows (r, width) with slopes (r, c, d) by c nodes where their columns (c,) begin."""
+    """Rows (r, width) with Jacobians (r, c, d) by c nodes, whose first columns are (c,)."""
     out = np.zeros((len(slopes), width))
     for a, at in enumerate(columns):
         out[:, at : at + slopes.shape[2]] += slopes[:, a]

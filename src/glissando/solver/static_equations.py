@@ -1,4 +1,4 @@
-"""Prior and readings of static shapes, linearised: one slab an arclength node, shapes apart."""
+"""Prior and readings of static shapes, linearised: a slab per arclength node, shapes uncoupled."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class StaticEquations:
 
     Attributes:
         state: Nodes (S, N).
-        system: Slabs (S · N) of 12 numbers; the last node of a shape and the first of the next are
-            not coupled.
+        system: Slabs (S · N) of 12 unknowns; the last node of a shape and the first of the next
+            are not coupled.
         rhs: −Jᵀr (S, N, 12).
-        terms: Residuals of every factor with the shapes that they belong to.
-        determined: Whether the prior alone determines every number.
+        terms: For each batch of factors, the shapes that they belong to and their residuals.
+        determined: Whether the prior alone determines every unknown.
     """
 
     state: State
@@ -49,7 +49,7 @@ class StaticEquations:
     determined: bool
 
     def costs(self, other: StaticEquations) -> Array:
-        """Costs (S,) of another state's residuals under the weights of this one."""
+        """Costs (S,) of the residuals at another state under the weights of this one."""
         out = np.zeros(len(self.rhs))
         for (owner, own), (_, theirs) in zip(self.terms, other.terms, strict=True):
             norm = np.linalg.norm(own.whiten(theirs.residual), axis=-1)
@@ -59,7 +59,7 @@ class StaticEquations:
 
     @property
     def cholesky(self) -> Cholesky:
-        """The factor of the system.
+        """Cholesky factor of the system, with shapes damped that are singular by rounding.
 
         Raises:
             UnobservableError: Prior and readings leave a direction of a shape undetermined.
@@ -68,7 +68,7 @@ class StaticEquations:
 
     @property
     def damped(self) -> NDArray[np.bool_]:
-        """Which shapes (S,) had to be damped, as they are singular by rounding."""
+        """Mask (S,) of the shapes that are damped, as they are singular by rounding."""
         return self._factored[1]
 
     @cached_property
@@ -80,7 +80,7 @@ class StaticEquations:
         return factor(self.system.add_to_diagonal(added)), damped
 
     def _damping(self) -> Array:
-        """What has to be added to the diagonal (S · N, 12); nothing where shapes have factors."""
+        """Damping (S · N, 12) to add to the diagonal; zero for shapes that factor without it."""
         count, n_count, size = self.rhs.shape
         added = np.zeros((count * n_count, size))
         for first in range(0, count * n_count, n_count):
@@ -101,16 +101,16 @@ class StaticEquations:
 def linearize_static(
     prior: Prior, located: LocatedReadings, state: State, noise: Sequence[Array] = ()
 ) -> StaticEquations:
-    """Prior and readings of every shape at a state, weights from its own strains.
+    """Linearise prior and readings of every shape at a state, with weights from its strains.
 
     Args:
         prior: The prior.
         located: Readings on a grid whose times are the numbers of the shapes.
         state: Nodes (S, N) to linearise at.
-        noise: What is added to the whitened residuals (M, r) of each batch of factors.
+        noise: Noise to add to the whitened residuals (M, r), for each batch of factors.
 
     Raises:
-        SensorError: A sensor reads a velocity, which a shape does not have, or the whole robot.
+        SensorError: A sensor reads a velocity, which static shapes lack, or the whole robot.
     """
     for readings in located.streams:
         if readings.spans:

@@ -1,40 +1,39 @@
-"""When an iteration ends: steps that are negligible, and those that would follow as well."""
+"""Criteria by which an iteration ends: the last step and all later ones are negligible."""
 
 from __future__ import annotations
 
 import numpy as np
 
-_IDLE = 3.0  # tolerances: a step this short that gains nothing ends the search
-_CALMER = 0.5  # part of the step before above which steps do not shrink
-_STALLED = 5  # steps that together gain nothing end the search
-_SLOWEST = 0.05  # least share by which steps count as shrinking
-_STEADY = 0.05  # part of itself that a Gauss–Newton step leaves to go at best, near the end
-_SURE = 0.2  # tolerances: a next step this short needs not be far shorter than the last
-_FALLING = 0.1  # part of the step before below which steps are on their way to the end
+_IDLE = 3.0  # tolerances: a step this short that does not lower the cost ends the search
+_CALMER = 0.5  # ratio to the step before above which steps do not shrink
+_STALLED = 5  # steps that together do not lower the cost end the search
+_SLOWEST = 0.05  # least relative decrease from step to step that is extrapolated
+_STEADY = 0.05  # least ratio of a Gauss–Newton step to the one before that is extrapolated
+_SURE = 0.2  # tolerances: a next step this short need not be far shorter than the last
+_FALLING = 0.1  # ratio to the step before below which steps converge
 _ROUND = 3  # steps that are compared with as many before, where they shrink unevenly
 
 
 class StepLengths:
-    """Lengths of steps, in standard deviations, and whether one is short enough to end with.
+    """Lengths of steps, in standard deviations, and the criteria by which they end an iteration.
 
-    Steps that shrink evenly leave a geometric series to go. Where no weight depends on the
-    residuals, a step that is a small part of the one before is followed by smaller ones, and
-    what it leaves decides. Steps that shrink unevenly, as they do where weights go to and fro, are
-    compared with those three before. Readings that move across nodes leave kinks in the cost,
-    below any confidence: steps that no longer shrink are as short as they get, and in a kink
-    itself, where none leads down for long, they may be long and gain nothing. Where the cost bends
-    more than its linearised residuals say, whole steps leap over the minimum, and damped ones creep
-    up to it: the fall in cost tells that they are near. Weights that depend
-    on the state may go to and fro with it, by less than the tolerance: then one side is as good as
-    the other.
+    If steps shrink at a constant rate, the remaining distance is the sum of a geometric series.
+    Where no weight depends on the residuals, a step far shorter than the one before is followed by
+    shorter ones, and only that sum must be negligible. Steps that shrink unevenly, as with weights
+    that oscillate, are compared with the third step before. Readings that move across nodes leave
+    kinks in the cost, far smaller than its uncertainty: there, steps that no longer shrink are
+    accepted, and at a kink itself they may be long without lowering the cost. Where the cost curves
+    more than the linearised residuals predict, whole steps overshoot the minimum and damped ones
+    approach it slowly: a negligible fall in cost shows that it is near. Weights that depend on the
+    state may oscillate with it by less than the tolerance: then either state is accepted.
 
     Attributes:
         first: Length of the first step.
-        length: Length of the last one.
-        idle: Whether it is so short that the search ends if it gains nothing.
-        short: Whether it, and with it all that would follow, is negligible.
-        last: Whether steps that follow renewed weights no longer shrink, but go to and fro.
-        doubtful: Whether it is short, but the next one by itself may be too long to end with.
+        length: Length of the last step.
+        idle: Whether the last step is so short that the search ends if the cost does not fall.
+        short: Whether the last step and all that would follow are negligible.
+        last: Whether steps that follow renewed weights no longer shrink, but oscillate.
+        doubtful: Whether a short last step must be confirmed by the length of the next.
     """
 
     def __init__(self, tolerance: float, *, kinks: bool, weighted: bool) -> None:
@@ -46,13 +45,13 @@ class StepLengths:
         self.idle = self.short = self.last = self.doubtful = False
 
     def note(self, length: float, *, damped: bool, renewed: bool, turns_back: bool = False) -> None:
-        """Take the length of the next step.
+        """Record the next step and evaluate the criteria.
 
         Args:
-            length: Its length.
-            damped: Whether it is damped.
-            renewed: Whether it is the first with renewed weights, one of a series of such.
-            turns_back: Whether it then leads back from where the one before of that series led.
+            length: Length of the step.
+            damped: Whether the step is damped.
+            renewed: Whether the step is the first after weights were renewed.
+            turns_back: Whether the step opposes the last one that followed renewed weights.
         """
         before = np.inf if damped else self._renewed if renewed else self.length
         if np.isnan(self.first):
@@ -70,7 +69,7 @@ class StepLengths:
         self.length = length
 
     def confirms(self, length: float) -> bool:
-        """Whether the next step, of that length, is as short as the last one promised."""
+        """Whether a next step of this length is as short as the last one predicts."""
         rate = length / self.length
         if self._is_over:
             return length <= self._longest
@@ -78,7 +77,7 @@ class StepLengths:
         return sure and self._is_short(length, rate)
 
     def _move(self, length: float, *, damped: bool, renewed: bool) -> None:
-        """Note how long whole steps were, once from each place."""
+        """Record the lengths of undamped steps, one for each state."""
         if damped:
             self._moves = []
         elif renewed and self._moves:
@@ -88,12 +87,12 @@ class StepLengths:
 
     @property
     def _longest(self) -> float:
-        """The longest of the last steps."""
+        """Longest of the last `_ROUND` steps."""
         return max(self._moves[-_ROUND:], default=np.inf)
 
     @property
     def _is_over(self) -> bool:
-        """Whether rounds of steps that shrink as the last one did leave a negligible way."""
+        """Whether rounds of steps that shrink like the last round leave a negligible distance."""
         if len(self._moves) < 2 * _ROUND:
             return False
         before, last = self._moves[:_ROUND], self._moves[_ROUND:]
@@ -103,7 +102,7 @@ class StepLengths:
         return max(self._longest, left) < self._tolerance
 
     def _is_short(self, length: float, rate: float) -> bool:
-        """Whether a step is short enough, the `rate` times as long as the one before."""
+        """Whether a step, `rate` times as long as the one before, is short enough to end with."""
         if self._kinks:
             return length < self._tolerance or (self.idle and rate > _CALMER)
         left = length * max(rate, _STEADY) / max(1.0 - rate, _SLOWEST)
@@ -117,7 +116,7 @@ class StepLengths:
         return self._damped >= _STALLED
 
     def stall(self, cost: float) -> bool:
-        """Whether steps gain nothing any more, by the cost after each, with weights held."""
+        """Whether the last steps did not lower the cost; `cost` is that after the last one."""
         self._costs.append(cost)
         if len(self._costs) <= _STALLED:
             return False

@@ -1,4 +1,4 @@
-"""Where a Gauss–Newton step leads: straight on, bent, shorter, or on from the side of a valley."""
+"""Search along a Gauss–Newton step: straight, bent, shortened, or followed by further steps."""
 
 from __future__ import annotations
 
@@ -20,21 +20,24 @@ from glissando.solver.located_readings import LocatedReadings
 WORTHWHILE = 1e-3
 """Share of the predicted fall in cost below which a step is refused."""
 ROUNDING = 1e-11
-"""A fall in cost this small, relatively, cannot be told from rounding."""
-_GOOD = 0.25  # share above which no other way to take the step is tried
+"""Relative fall in cost that cannot be distinguished from rounding."""
+_GOOD = 0.25  # share of the predicted fall above which no other candidate is tried
 _SHORTER = (0.5, 0.2)  # parts of a refused step that are tried
-_WATCHED, _SHRINKING = 6, 0.5  # steps beyond a refused one, each such a part of the one before
+_WATCHED, _SHRINKING = 6, 0.5  # most steps after a refused one; largest ratio to the one before
 
 Where = tuple[State, LocatedReadings]
-"""A state, and the readings where the sensor parameters that go with it put them."""
+"""A state, and the readings located with the sensor parameters that belong to it."""
 
 Linearize = Callable[[Where, NormalEquations | None], NormalEquations]
-"""The normal equations somewhere, with the weights of others if they are given."""
+"""Normal equations at a state, with the weights of other equations if these are given."""
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    """Where a step may lead: the share of its promise, and whether a whole step is bent or not."""
+    """A state to try, the share of the predicted fall there, and whether a whole step was bent.
+
+    `bent` is None for a step that is not the whole one.
+    """
 
     where: Where
     share: float = 1.0
@@ -44,10 +47,11 @@ class _Candidate:
 def candidates(
     prior: Prior, here: NormalEquations, step: Array, *, bent: bool = False
 ) -> Iterator[_Candidate]:
-    """Where a step may lead: straight on, bent, and bent and shorter; straight on last if `bent`.
+    """States to try for a step: straight, bent, and bent and shortened; straight last if `bent`.
 
-    A long step straight on tears poses and strains apart, which stiff priors punish; bent, poses
-    still follow from the strains. Along a curved valley a shorter one is better than a damped one.
+    A long straight step makes poses inconsistent with strains, which stiff priors penalise; in a
+    bent step poses follow from the strains. Along a curved valley a shortened step is better than
+    a damped one.
     """
     if not bent:
         yield _Candidate(_straight(here, step), bent=False)
@@ -59,18 +63,18 @@ def candidates(
 
 
 def whole_steps(prior: Prior, here: NormalEquations, step: Array) -> Iterator[Where]:
-    """Where the whole step leads: straight on, then bent."""
+    """Ends of the whole step: straight, then bent."""
     return (way.where for way in islice(candidates(prior, here, step), 2))
 
 
 def _straight(here: NormalEquations, step: Array) -> Where:
-    """Where a step leads that moves each node by itself."""
+    """End of a step that moves each node independently."""
     of_nodes, of_parameters = here.split(step)
     return here.state.retract(of_nodes), here.located.moved(of_parameters)
 
 
 def _bent(prior: Prior, here: NormalEquations, step: Array) -> Where:
-    """Where a step leads on which poses follow from the strains."""
+    """End of a step in which poses follow from the strains."""
     of_nodes, of_parameters = here.split(step)
     located = here.located.moved(of_parameters)
     return prior.retract_strains(located.grid, here.state, of_nodes), located
@@ -86,20 +90,20 @@ def try_step(
     *,
     bent: bool,
 ) -> tuple[NormalEquations, float, bool]:
-    """The first way that is worth it, else the best, or none.
+    """Take the first candidate that lowers the cost well, else the best, or stay.
 
     Args:
         prior: The prior.
         here: The problem where the step begins.
         step: The step (K, D).
-        fixed: The problem whose weights are kept, if they are.
-        predicted: The fall in cost that the whole step promises.
-        at: Linearises.
-        bent: Whether the last whole step was better bent than straight on: this one is tried so
-            first.
+        fixed: The problem whose weights are kept, or None.
+        predicted: Fall in cost that is predicted for the whole step.
+        at: Linearises at a state.
+        bent: Whether the last whole step was better bent than straight: bent is tried first.
 
     Returns:
-        The problem there; its share of the promise; whether the next is tried bent first.
+        The problem there; its gain, the actual over the predicted fall in cost; whether the next
+        step is tried bent first.
     """
     cost, best, best_gain = here.cost_of(here), (here.state, here.located), WORTHWHILE
     gain = -1.0
@@ -123,15 +127,14 @@ def _ways(
     *,
     bent: bool,
 ) -> Iterator[tuple[NormalEquations, _Candidate]]:
-    """The problem where each candidate leads, as far as its weights exist.
+    """The problem at each candidate for which weights exist.
 
-    Last come the places where further steps from straight on lead, while they shrink. A step along
-    the tangent of a narrow valley ends high on its side and shorter ones gain little; those that
-    follow fall back into the valley, farther on (Chamberlain et al., The watchdog technique,
-    1982).
+    Last come the ends of further steps from the straight one, while these shrink. A step along
+    the tangent of a narrow valley ends high on its side and shorter ones gain little; the steps
+    that follow return to the valley farther on (Chamberlain et al., The watchdog technique, 1982).
     """
     for way in candidates(prior, here, step, bent=bent):
-        with suppress(np.linalg.LinAlgError):  # so far off that not even its weights exist
+        with suppress(np.linalg.LinAlgError):  # too far off for weights to exist
             yield at(way.where, fixed), way
     with suppress(np.linalg.LinAlgError, UnobservableError):
         high, length = at(next(candidates(prior, here, step)).where, fixed), np.inf
