@@ -1,7 +1,7 @@
-"""Where every part of a continuum robot is, at every moment, and how sure.
+"""Estimates of pose, strain and velocity of continuum robots, with covariance.
 
-A recording's readings and a Gaussian prior, continuous in arclength and time, become a posterior:
-pose, strain and velocity with their covariance anywhere along the robot, any time.
+A Gaussian-process prior, continuous in arclength and time, and the readings of sensors determine a
+posterior: pose, strain and velocity with their covariance at any arclength and time.
 
 >>> import numpy as np
 >>> from glissando import CoilReadings, load_robot, estimate, uniform_grid
@@ -13,7 +13,7 @@ pose, strain and velocity with their covariance anywhere along the robot, any ti
 ...                     cov=[1e-6, 1e-6, 1e-6, 1e-4, 1e-4])
 >>> posterior = estimate(robot, grid, [coil])
 >>> at = posterior.at(arclength=[0.233, 0.466], time=0.5)
->>> bool(at.std_position[1] < at.std_position[0])  # surest where the coil is
+>>> bool(at.std_position[1] < at.std_position[0])  # smaller at the coil
 True
 """
 

@@ -1,4 +1,4 @@
-"""What can go wrong, as exceptions whose text is one sentence a user can act on.
+"""Exceptions and warnings, each with a message of one sentence that a user can act on.
 
 Every message says what is wrong, shows the value, and says what to do. The command line
 prints that sentence alone and exits with 2.
@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 
 class GlissandoError(ValueError):
-    """A mistake in what was given: files, options or arrays."""
+    """A file, an option or an array that the user gave is wrong."""
 
 
 class RecordingError(GlissandoError):
@@ -19,7 +19,7 @@ class RecordingError(GlissandoError):
 
 
 class RobotFileError(GlissandoError):
-    """A robot file lacks a key, has one too many, or a value that cannot be."""
+    """A robot file lacks a key, has an unknown key, or holds an impossible value."""
 
 
 class OutsideGridError(GlissandoError):
@@ -35,23 +35,23 @@ class SensorError(GlissandoError):
 
 
 class UnreachableError(SensorError):
-    """No shape of the robot comes near the readings."""
+    """No shape of the robot agrees with the readings even approximately."""
 
 
 class SimulationError(GlissandoError):
-    """What was asked of the simulator cannot be: a tendon off its disk, a shape unknown."""
+    """A simulation cannot be run as described: a tendon lies off its disk, a shape is unknown."""
 
 
 class ImplausibleError(GlissandoError):
-    """Readings cannot be what they are said to be: a unit, a clock, a frame, an axis is wrong."""
+    """Readings contradict their description: a unit, a clock, a frame or an axis is wrong."""
 
 
 class NoShapeError(GlissandoError):
-    """The physics has no stable static shape under these loads that continues the unloaded one."""
+    """No stable static shape under these loads continues the unloaded one."""
 
 
 class DeviceError(GlissandoError):
-    """A device does not answer, or answers what it should not."""
+    """A device does not answer, or gives an unexpected answer."""
 
 
 class EstimateWarning(UserWarning):
@@ -63,23 +63,23 @@ class FalseConfidenceWarning(EstimateWarning):
 
 
 class NotConvergedWarning(EstimateWarning):
-    """The estimate stopped before its step became small: do not trust it."""
+    """The solver stopped before its steps became small: do not trust the estimate."""
 
 
 class OldNameWarning(UserWarning):
-    """A file names something as it was called before; it is read, and should be renamed."""
+    """A file uses an earlier name of a key, which is still read and should be replaced."""
 
 
 class OtherTimesWarning(UserWarning):
-    """A stream has no reading at the times that it is wanted for, or they are of another clock."""
+    """A stream has no reading at the times for which it is used, or uses another clock."""
 
 
 class PlanWarning(UserWarning):
-    """A plan of the sensor's path came too late or not at all, or leaves something out."""
+    """A plan of the sensor's path is late, missing or deficient."""
 
 
 def is_interrupt(problem: BaseException | None) -> bool:
-    """Whether Ctrl-C caused an error, directly or inside a kernel, which makes a SystemError."""
+    """Whether Ctrl-C caused an error, directly or as the SystemError of a compiled kernel."""
     while problem is not None and not isinstance(problem, KeyboardInterrupt):
         problem = problem.__cause__ or problem.__context__
     return problem is not None
@@ -87,11 +87,11 @@ def is_interrupt(problem: BaseException | None) -> bool:
 
 @contextmanager
 def needing(what: str, extra: str, error: type[GlissandoError] = GlissandoError) -> Iterator[None]:
-    """Name the extra to install where a package that is imported inside is missing.
+    """Name the extra to install if an import inside the context fails.
 
     Args:
-        what: What needs which packages, such as 'Figures need matplotlib'.
-        extra: The extra that brings them.
+        what: Beginning of the message, such as 'Figures need matplotlib'.
+        extra: Extra of this package that installs the missing one.
         error: Class of the error.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Roots of covariances: half axes of their ellipsoids, and symmetric roots."""
+"""Square roots of covariances: half axes of their ellipsoids, and symmetric roots."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from glissando.geometry.se3 import Array
 def half_axes(cov: Array) -> Array:
     """Half axes (…, d, d) of one-sigma ellipsoids as columns, a root of covariances (…, d, d).
 
-    Negative variances, of rounding, count as none.
+    Variances that rounding made negative count as zero.
 
     >>> half_axes(np.diag([4.0, 9.0])) @ half_axes(np.diag([4.0, 9.0])).T
     array([[4., 0.],
@@ -21,7 +21,7 @@ def half_axes(cov: Array) -> Array:
 
 
 def symmetric_root(cov: Array) -> Array:
-    """The symmetric S (…, d, d) with S S = cov; negative variances of rounding count as none.
+    """Symmetric S (…, d, d) with S S = cov; variances made negative by rounding count as zero.
 
     >>> symmetric_root(np.diag([4.0, 9.0, 0.0])).diagonal().tolist()
     [2.0, 3.0, 0.0]

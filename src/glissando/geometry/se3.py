@@ -22,7 +22,7 @@ from glissando._kernels.arrays import items
 
 
 def _skews() -> tuple[Array, Array]:
-    """What makes a skew matrix of a three-vector and an adjoint's derivative of a six-vector."""
+    """Linear maps from a three-vector to its skew matrix, and from a six-vector to its ad."""
     skew, wide = np.zeros((3, 3, 3)), np.zeros((6, 6, 6))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         skew[i, k, j], skew[i, j, k] = 1.0, -1.0
@@ -43,7 +43,7 @@ def hat3(v: Array) -> Array:
 
 
 def hat(x: Array) -> Array:
-    """Matrix x^ (…, 4, 4) of a six-vector [rho, phi]; dT/ds is T times that of the strain."""
+    """Matrix x^ (…, 4, 4) of a six-vector [rho, phi]; dT/ds = T ε^ for a strain ε."""
     out = np.zeros((*x.shape[:-1], 4, 4))
     out[..., :3, :3] = hat3(x[..., 3:])
     out[..., :3, 3] = x[..., :3]
@@ -87,7 +87,7 @@ def quaternion(rotation: Array) -> Array:
 
 
 def rotation_from_quaternion(q: Array) -> Array:
-    """Rotation matrix (…, 3, 3) of a quaternion [w, x, y, z] (…, 4), normalised here."""
+    """Rotation matrix (…, 3, 3) of a quaternion [w, x, y, z] (…, 4) of any norm but zero."""
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     w = hat3(q[..., 1:])
     return _EYE3 + 2.0 * q[..., :1, None] * w + 2.0 * (w @ w)
@@ -111,7 +111,7 @@ def exp(x: Array) -> Array:
 
 
 def retract(pose: Array, step: Array) -> Array:
-    """Poses (…, 4, 4) moved on the right by the first six numbers of steps (…, ·)."""
+    """Poses (…, 4, 4) perturbed on the right by the first six numbers of steps (…, ·)."""
     lead = pose.shape[:-2]
     if lead != step.shape[:-1]:
         lead = np.broadcast_shapes(lead, step.shape[:-1])
@@ -146,7 +146,7 @@ def adjoint(pose: Array) -> Array:
 
 
 def ad(x: Array) -> Array:
-    """Derivative of the adjoint (…, 6, 6): its product with y is the bracket of x^ and y^."""
+    """Lie bracket with x as a matrix (…, 6, 6): (ad(x) y)^ = x^ y^ − y^ x^."""
     return (x @ _AD).reshape(*x.shape[:-1], 6, 6)
 
 
@@ -187,8 +187,8 @@ def rotate(rotation: Array, vector: Array) -> Array:
 def position_covariance(cov: Array) -> Array:
     """Second moments (…, 3, 3) of the position of exp(x^), for covariance (…, 6, 6) of x.
 
-    The position is ρ + φ × ρ / 2 and shorter terms, which are left out: where rotations are
-    uncertain a body moves along an arc, and first order takes the tangent for it.
+    The position is ρ + φ × ρ / 2 to second order. Where the rotation is uncertain the position
+    moves along an arc, which a first-order covariance would replace by its tangent.
     Source: equation (34).
     """
     by_cross = np.einsum("iab,...bc->...iac", _CROSS, cov)
@@ -198,13 +198,13 @@ def position_covariance(cov: Array) -> Array:
 
 
 def _matrices(kernel: Callable[..., Array], *vectors: Array) -> Array:
-    """What a kernel makes (…, 6, 6) of six-vectors (…, 6) of one shape."""
+    """Matrices (…, 6, 6) that a kernel computes from six-vectors (…, 6) of one shape."""
     lead = vectors[0].shape[:-1]
     return kernel(*(items(each, lead, 6) for each in vectors)).reshape(*lead, 6, 6)
 
 
 def least_turn(axis: Array) -> Array:
-    """The least rotations (M, 3, 3) that take z onto axes (M, 3)."""
+    """Rotations (M, 3, 3) of least angle that take the z axis onto axes (M, 3)."""
     lean = np.stack([-axis[:, 1], axis[:, 0], np.zeros(len(axis))], axis=-1)
     sine = np.linalg.norm(lean, axis=1, keepdims=True)
     angle = np.arctan2(sine, axis[:, 2:])
