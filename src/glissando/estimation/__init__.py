@@ -1,1 +1,1 @@
-"""Readings in, posterior out: batch, fixed-lag, static shapes."""
+"""Estimators from readings to posterior: batch, fixed-lag, static shapes."""

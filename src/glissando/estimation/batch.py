@@ -1,4 +1,4 @@
-"""Batch estimation: a whole recording at once."""
+"""Batch estimation of a whole recording."""
 
 from __future__ import annotations
 
@@ -34,35 +34,36 @@ def estimate(
 ) -> Posterior:
     """Posterior over pose, strain and velocity, continuous in arclength and time.
 
-    The iteration starts at rest, over coarse time nodes. If it is given another start that turns
-    out to be far off, it starts at rest as well, and the better end counts. A reading that all
-    others refute is left out and named in the report; streams with a robust loss keep all of
-    theirs, and with a mechanical prior those are kept that a touch explains. Readings of sensors in
-    channels beside the backbone are placed by the shape until both agree (M8).
+    The iteration starts at rest, on coarse time nodes, or at `initial`. If that start proves far
+    off, rest is tried as well, and the better solution is returned. A reading that all others
+    refute is left out and listed in the report; streams with a robust loss keep all readings, and
+    with a mechanical prior readings that a contact explains are kept. Readings of sensors in
+    channels beside the backbone are located by the shape, iterated until both agree (M8).
 
     Args:
         model: The robot, or the prior of its motion.
         grid: Nodes over arclength (m) and time (s).
         readings: Readings of each sensor.
         sensor_parameters: Parameters of the sensors, matched by the readings' names; estimated with
-            the states where they are uncertain, applied where they are known. Those of the robot
-            unless given; of a prior none.
-        initial: Nodes (K, N) to start from instead; rates that the prior has and it lacks are zero.
-        initial_parameters: Sensor parameters with their values (K, size) to start from, as an
-            earlier posterior of this grid holds them.
-        options: When to stop.
+            the states where they are uncertain, applied where they are known. If None, those of
+            the robot; a prior has none.
+        initial: Nodes (K, N) to start from; rates that the prior has and this state lacks are zero.
+        initial_parameters: Sensor parameters with their values (K, size) to start from, such as
+            those of an earlier posterior on this grid.
+        options: Stopping criteria.
         progress: Called after each iteration.
-        gate: Chance below which the innovation of a reading refutes it; None uses them all.
+        gate: Probability of an innovation below which a reading is refuted; None uses all readings.
 
     Raises:
         OutsideGridError: A reading or the initial state is not on the grid.
         UnobservableError: Prior and readings leave a direction of the state undetermined.
-        SensorError: Readings are not in a list, a sensor is not sound, or no shape comes near.
-        GlissandoError: An argument is of another class than it should be.
+        SensorError: Readings are not in a list, a sensor is inconsistent, or no shape agrees with
+            the readings even approximately.
+        GlissandoError: An argument is of the wrong class.
 
     Warns:
-        NotConvergedWarning: The iteration stopped early; the posterior's report says so, too.
-        FalseConfidenceWarning: Many readings contradict the estimate; the report says which.
+        NotConvergedWarning: The iteration stopped early, as `Posterior.solve` also reports.
+        FalseConfidenceWarning: Many readings contradict the estimate; `Posterior.solve` names them.
     """
     prior, sensor_parameters = model_of(model, sensor_parameters)
     require_batch(prior, grid, readings, sensor_parameters, initial, options)
@@ -93,20 +94,20 @@ def estimate_in_passing(
     gate: float | None = None,
     keep_all: bool = False,
 ) -> Posterior:
-    """A posterior on the way to another: nothing is checked, and nothing is warned of.
+    """Posterior of an intermediate estimate, without checks of arguments and without warnings.
 
     Args:
-        prior: What is believed before any reading.
+        prior: The prior of the motion.
         grid: Nodes over arclength (m) and time (s).
         readings: Readings of each sensor.
         sensor_parameters: Parameters of the sensors.
-        options: When to stop.
+        options: Stopping criteria.
         initial: Nodes (K, N) to start from, if any.
         initial_parameters: Sensor parameters with their values (K, size) to start from.
-        dates: Whether delays are known by what streams without one show, see `delays`, which costs
-            as much as two iterations; else they are as sure as Gauss–Newton steps have them.
-        gate: Chance below which the innovation of a reading refutes it; None uses them all.
-        keep_all: Whether sensor parameters of which no reading tells are in the posterior, too.
+        dates: Whether delays are determined by the motion of streams without a delay, see `delays`,
+            which costs as much as two iterations; else their covariance is that of Gauss–Newton.
+        gate: Probability of an innovation below which a reading is refuted; None uses all readings.
+        keep_all: Whether the posterior includes sensor parameters that have no readings.
     """
     given = prior, grid, readings, sensor_parameters, options
     problem = BatchProblem(*given, gate=gate, dates=dates, keep_all=keep_all)

@@ -1,4 +1,4 @@
-"""A batch estimate from its start to its posterior: solved, judged, placed and dated."""
+"""Batch estimation from start to posterior: solving, tests of readings, offsets and delays."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ from glissando.model.state import State
 from glissando.solver.gauss_newton import Progress, Solution, SolverOptions, Stopwatch, minimize
 from glissando.solver.located_readings import locate
 
-_ROUNDS = 5  # of solving and judging readings
+_ROUNDS = 5  # of solving and testing readings
 Judged = tuple[Solution, Posterior, list[Mask]]
-"""A solution, its posterior, and which readings of each stream it used."""
+"""A solution, its posterior, and masks of the readings of each stream that it used."""
 
 
 @dataclass(frozen=True)
 class BatchProblem:
-    """What is estimated, from which readings, and how."""
+    """Batch estimation problem: prior, grid, readings and options."""
 
     prior: Prior
     grid: Grid
@@ -56,7 +56,7 @@ class BatchProblem:
     clock: Stopwatch = field(default_factory=Stopwatch)
 
     def placed(self, start: Start) -> Posterior:
-        """The posterior, for which readings in channels are where it says itself."""
+        """Posterior whose shape agrees with where it locates readings in channels."""
         load_kernels(self.prior)
         if not any(r.channel for r in self.readings):
             return self.corrected().posterior(start)
@@ -68,15 +68,15 @@ class BatchProblem:
         return settled(again, self.readings, (self.prior, self.grid, shape), start[0])
 
     def corrected(self) -> BatchProblem:
-        """The problem with what is known of the sensors put into their readings."""
+        """The problem with readings corrected for known sensor parameters."""
         known = [parameter for parameter in self.sensor_parameters if parameter.known]
         return replace(self, readings=[corrected(r, known) for r in self.readings])
 
     def posterior(self, start: Start) -> Posterior:
-        """The posterior of all readings but those that the others refute."""
+        """Posterior from all readings but those that the others refute."""
         used = [used_at_first(r, self.gate) for r in self.readings]
         if not all(rows.all() for rows in used):
-            locate(self.grid, self.readings, self.sensor_parameters)  # raises for spikes off, too
+            locate(self.grid, self.readings, self.sensor_parameters)  # checks spikes, too
         with self.explained():
             end, known = self.best_end(used, start), None
             if self.gate is not None:
@@ -90,14 +90,14 @@ class BatchProblem:
 
     @contextmanager
     def explained(self) -> Iterator[None]:
-        """Say so where readings are so far off that solving breaks down."""
+        """Raise an error that explains why solving breaks down, such as readings far off."""
         try:
             yield
         except (np.linalg.LinAlgError, UnobservableError) as error:
             raise breakdown(error, self.grid, self.prior, self.readings) from error
 
     def best_end(self, used: Sequence[Mask], start: Start) -> Solution:
-        """Where the iteration ends, from other starts as well, where this one is far off."""
+        """Best solution from this start, and from others if it is far off."""
 
         def piece(times: slice, initial: State | None) -> Solution:
             grid = Grid(self.grid.arclength, self.grid.time[times])
@@ -113,7 +113,7 @@ class BatchProblem:
     def minimum(
         self, used: Sequence[Mask], initial: Start, options: SolverOptions | None = None
     ) -> Solution:
-        """Where the iteration with the readings that are used ends."""
+        """Solution of the iteration with the readings that are used."""
         readings = self.selected(used)
         progress, clock = self.progress, self.clock
         with one_thread():
@@ -130,7 +130,7 @@ class BatchProblem:
         return replace(solution, iterations=before + solution.iterations)
 
     def known_by(self, solution: Solution) -> Posterior:
-        """The posterior of a solution, whose factor it overwrites."""
+        """Posterior of a solution, whose factor is overwritten."""
         log_fit = _log_fit(solution)  # (22)
         with one_thread(), self.clock("covariance"):
             marginals = solution.cholesky.marginals(consume=True)  # (21)
@@ -147,7 +147,7 @@ class BatchProblem:
         )
 
     def placed_by_evidence(self, end: Solution, used: Sequence[Mask]) -> Solution:
-        """The same with offsets along the robot that are known by their evidence. Source: (22)."""
+        """Solution with arclength offsets at the mode of their evidence. Source: (22)."""
 
         def again(shifted: Sequence[SensorParameter], before: Solution) -> Solution:
             return replace(self, sensor_parameters=shifted).minimum(used, start_at(before))
@@ -159,17 +159,17 @@ class BatchProblem:
         return end
 
     def dated(self, solution: Solution) -> Solution:
-        """The solution in which delays are known by what streams without one show."""
+        """Solution with delays estimated from the motion of streams without a delay."""
         with one_thread():
             return with_unseen_delays(self.prior, solution, self.sensor_parameters, self.options)
 
     def solve_with_touches(self, start: Start, first: list[Mask], known: Judged) -> Judged:
-        """Use readings as well that a touch explains, where the prior knows of none.
+        """Use also readings that a contact explains, if the prior is mechanical.
 
         Args:
-            start: Where the iteration starts.
-            first: The readings that the first solve used.
-            known: The solution without touches.
+            start: Start of the iteration.
+            first: Masks of the readings that the first solution used.
+            known: Solution without contacts.
         """
         prior = under_touches(self.prior, self.grid.arclength)
         if prior is self.prior or self.gate is None:
@@ -187,9 +187,9 @@ class BatchProblem:
         return better, self.known_by(better), used
 
     def solve_without_refuted(self, end: Solution, used: list[Mask], gate: float) -> Judged:
-        """Judge readings and solve again until those used are those that no others refute.
+        """Test readings and solve again, until those used are those that the others do not refute.
 
-        Estimates that are judged again are rough.
+        Intermediate solutions are rough.
         """
         first, known = used, self.known_by(end)
         rough = self.options.rougher(end.equations.rhs.size)
@@ -210,25 +210,25 @@ class BatchProblem:
         return [r.select(rows) for r, rows in zip(self.readings, used, strict=True)]
 
     def left_out(self, used: Sequence[Mask]) -> dict[str, list[int]]:
-        """Rows of each stream that were not used, of streams that have such rows."""
+        """Rows of each stream that were not used, for streams with such rows."""
         pairs = zip(distinct_labels(self.readings), used, strict=True)
         return {name: np.flatnonzero(~rows).tolist() for name, rows in pairs if not rows.all()}
 
 
 def _after(before: int, progress: Progress | None) -> Progress | None:
-    """The same progress, counting on from iterations before."""
+    """The progress callback, with iterations counted on from those before."""
     if progress is None or before == 0:
         return progress
     return lambda iteration, cost, length: progress(before + iteration, cost, length)
 
 
 def _log_fit(solution: Solution) -> float:
-    """The log evidence but for what the prior's factors leave out. Source: equation (22)."""
+    """Log evidence without the prior's normaliser. Source: equation (22)."""
     return -solution.cost - 0.5 * (solution.equations.log_det_noise + solution.cholesky.log_det)
 
 
 def _report(prior: Prior, solution: Solution, log_fit: float, clock: Stopwatch) -> SolveReport:
-    """The record of the solve that goes with the posterior."""
+    """Report of the solver for the posterior."""
     at = solution.equations
     suspects = sum(int(np.sum(terms.robust_weights() < 0.5)) for terms in at.terms)
     return SolveReport(

@@ -1,8 +1,8 @@
-"""Shapes to start from where rest is too far off: arcs, settled on the readings of one moment.
+"""Bent shapes to start from where rest is too far off: arcs, fitted to the readings of one time.
 
-A robot that is bent by more than half a turn has shapes that explain a moment's readings one turn
-less, in which a search from rest ends. Hundreds of arcs, every segment in its own direction, settle
-as static shapes in the time of a few steps of a whole estimate, and those that do are tried.
+If a robot is bent by more than half a turn, shapes with one turn less are local minima, in which a
+search from rest ends. Hundreds of arcs, each segment bent in its own direction, are solved as
+static shapes in the time of a few steps of a whole estimate, and those that converge are tried.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from glissando.solver.gauss_newton import SolverOptions
 from glissando.solver.located_readings import locate
 from glissando.solver.static_equations import linearize_static
 
-_TURN, _WAYS = np.pi, 8  # rad by which arcs turn, and in how many directions
-_STRIDES = (1, 1, 2)  # between the ways that are tried where so many parts have ways of their own
-_OFF = 10.0  # times its variance that a reading of one moment is taken to have: mounts and drifts
+_TURN, _WAYS = np.pi, 8  # rad by which arcs turn; number of directions
+_STRIDES = (1, 1, 2)  # stride between the directions tried, for one, two or three parts
+_OFF = 10.0  # factor on the variance of the readings of one time, for mounts and drifts
 _SETTLED = SolverOptions(30, tolerance=1.0)
-_APART = 0.5  # rad over the robot's length by which shapes differ
+_APART = 0.5  # rad over the robot's length by which distinct shapes differ
 _TRIED = 8
 
 
 def bent_starts(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> Iterator[State]:
-    """States (K, N) to start from, at most sixteen: settled ones, and arcs of half a turn.
+    """States (K, N) to start from, at most sixteen: fitted shapes, and arcs of half a turn.
 
     Args:
         prior: The prior.
@@ -48,7 +48,7 @@ def bent_starts(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> Itera
         return
     rest, half = prior.rest_state(grid), [(way,) for way in range(_WAYS)]
     kinds = [partial(_settled, prior, grid, readings), partial(_arcs, prior, grid.arclength, half)]
-    if isinstance(prior, MechanicalPrior):  # of which one settles as slowly as all arcs are tried
+    if isinstance(prior, MechanicalPrior):  # fitting one shape takes as long as trying all arcs
         kinds.reverse()
     for shapes in (kind() for kind in kinds):
         for pose, strain in zip(shapes.pose, shapes.strain, strict=True):
@@ -57,7 +57,7 @@ def bent_starts(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> Itera
 
 
 def _arcs(prior: Prior, arclength: Array, ways: Sequence[tuple[int, ...]]) -> State:
-    """Shapes (S, N) of arcs of half a turn, whose parts bend in `ways` of their own."""
+    """Shapes (S, N) of arcs of half a turn, whose parts bend in the directions `ways`."""
     rest = prior.rest_state(Grid.apart(arclength, len(ways)))
     lengths, parts = np.diff(arclength), len(ways[0])
     segments, part = prior.joints.size + 1, np.arange(arclength.size)
@@ -75,7 +75,7 @@ def _arcs(prior: Prior, arclength: Array, ways: Sequence[tuple[int, ...]]) -> St
 
 
 def _settled(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> State:
-    """Different shapes (S, N) that explain readings in the middle of the grid, best first."""
+    """Distinct shapes (S, N) fitted to readings in the middle of the grid, lowest cost first."""
     moment, arclength = grid.time[grid.time.size // 2], grid.arclength
     nearest = [r.time[np.abs(r.time - moment).argmin()] for r in readings if len(r)]
     near = [r.select(r.time == t) for r, t in zip(filter(len, readings), nearest, strict=True)]
@@ -96,7 +96,7 @@ def _settled(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> State:
 
 
 def _shows_shape(readings: Readings) -> bool:
-    """Whether readings are of pose or strain at their places."""
+    """Whether readings are of pose or strain at their places, and not of velocity."""
     if readings.spans or readings.accelerates:
         return False
     still = State(np.eye(4)[None], STRAIGHT[None], np.zeros((1, 6)))
@@ -107,7 +107,7 @@ def _shows_shape(readings: Readings) -> bool:
 def _iterated(
     prior: Prior, arclength: Array, readings: Sequence[Readings], start: State
 ) -> tuple[State, Array]:
-    """Shapes (S, N) that each explain the same readings, and their costs, infinite where none."""
+    """Shapes (S, N), each fitted to the same readings, and costs (S,), infinite if not solved."""
     count = len(start.pose)
     rough = [r.changed(cov=_OFF * r.cov, loss=None) for r in readings]
     copies = [r.select(np.tile(np.arange(len(r)), count)) for r in rough]
@@ -118,7 +118,7 @@ def _iterated(
         here = linearize_static(prior, located, shapes)
     except UnobservableError:
         return start, np.full(count, np.inf)
-    except np.linalg.LinAlgError:  # one of them went too far
+    except np.linalg.LinAlgError:  # one of them is too far off for weights to exist
         if count == 1:
             return start, np.array([np.inf])
         halves = start.take(slice(count // 2)), start.take(slice(count // 2, None))

@@ -1,8 +1,8 @@
-"""Sensors that slide in a channel beside the backbone: where they are follows from the shape.
+"""Sensors that slide in a channel beside the backbone, located by the estimated shape.
 
 The arclength of their readings is a travel along the channel, whose length depends on the strain
-all the way from the base: dσ/ds = |ν + u × r + dr/ds|. Where the travel is longer than the channel
-the sensor sticks out of it, straight on. Source: (M8).
+from the base onwards: dσ/ds = |ν + u × r + dr/ds|. Where the travel is longer than the channel
+the sensor sticks out of it in a straight line. Source: (M8).
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from glissando.model.tendons.travel import channel_lengths, hat_functions
 from glissando.solver.measurement_factors import states_at
 
 _ROUNDS = 8
-_CLOSE = 2e-5  # of the length, by which readings may still move in their channels
-_NUDGE = 1e-6  # m
+_CLOSE = 2e-5  # share of the length by which readings may still move in their channels
+_NUDGE = 1e-6  # m, for a finite difference
 _CHUNK = 200  # readings at a time, to bound memory
 
 
 def place_in_channel(readings: Readings, prior: Prior, grid: Grid, state: State) -> Readings:
-    """Readings of a sensor in a channel as those of one in the cross-section it is beside.
+    """Convert readings of a sensor in a channel to those of one mounted on the backbone.
 
-    Arclengths become those of the backbone and the mount that of a sensor which points along the
-    channel; `beside` says how the arclengths change with the strain at the nodes.
+    Arclengths become those of the backbone, and the mount that of a sensor which points along the
+    channel; `beside` holds the derivatives of the arclengths by the strain at the nodes.
 
     Args:
-        readings: Readings (M,); those of a sensor without a channel are returned as they are.
-        prior: What lies between the nodes.
+        readings: Readings (M,); those of a sensor without a channel are returned unchanged.
+        prior: Prior that interpolates between the nodes.
         grid: The nodes.
         state: Nodes (K, N) of the shape.
     """
@@ -58,7 +58,7 @@ def place_in_channel(readings: Readings, prior: Prior, grid: Grid, state: State)
         travel = readings.arclength[rows]
         where[rows], out[rows], beside[rows, 0] = _positions(channel, travel, places, bent, nodes)
         beside[rows, 1] = bent[:, np.searchsorted(places, nodes)]
-    # as the rod is when straight: a mount that followed twist would confirm it
+    # of the straight rod: a mount that followed the estimated twist would confirm it
     mount = channel.frame(where, np.tile(STRAIGHT, (count, 1)))
     nearby = channel.frame(where + _NUDGE, np.tile(STRAIGHT, (count, 1)))
     winding = se3.log(nearby @ se3.inverse(mount)) / _NUDGE
@@ -71,11 +71,12 @@ def place_in_channel(readings: Readings, prior: Prior, grid: Grid, state: State)
 def _positions(
     channel: Channel, travel: Array, places: Array, bent: Array, nodes: Array
 ) -> tuple[Array, Array, Array]:
-    """Where strains are `bent` (M, P, 6) at places: arclengths after travels (M,) in a channel.
+    """Arclengths after travels (M,) in a channel, for strains `bent` (M, P, 6) at places (P,).
 
-    Then how far the sensor sticks out of the channel (M,), m, and the slopes (M, N, 6) of the
-    arclength by the strain at the nodes (N,), straight between them: strain as poses show it
-    between nodes would make the steps' valley curved.
+    Returns:
+        The arclengths (M,); how far the sensor sticks out of the channel (M,), m; and derivatives
+        (M, N, 6) of the arclength by the strain at the nodes (N,), taken as linear between them:
+        the strain that poses imply between nodes would curve the valley of the cost.
     """
     fine, tangent, lengths = channel_lengths(channel, places, bent)
     speed = np.linalg.norm(tangent, axis=-1)
@@ -91,7 +92,7 @@ def _positions(
 
 
 def placed(readings: Sequence[Readings], posterior: Posterior) -> list[Readings]:
-    """Readings where a posterior says that those in channels were taken; others as they are."""
+    """Readings, those in channels located by a posterior's shape; others unchanged."""
     at = posterior.prior, posterior.grid, posterior.state
     return [place_in_channel(r, *at) for r in readings]
 
@@ -102,12 +103,12 @@ def settled(
     rest: tuple[Prior, Grid, State],
     initial: State | None,
 ) -> Posterior:
-    """The posterior for which readings in channels are where it says itself.
+    """Locate readings in channels and estimate, in turn, until both agree.
 
     Args:
-        solve: Gives the posterior of readings that are placed, from nodes (K, N) `initial` or rest.
+        solve: Estimates from located readings, started at nodes (K, N) `initial` or at rest.
         readings: Readings, some of them in channels.
-        rest: The prior, the grid, and nodes (K, N) of the shape to place readings by at first.
+        rest: The prior, the grid, and nodes (K, N) of the shape that locates readings at first.
         initial: Nodes (K, N) to start from, if any.
 
     Raises:
@@ -140,7 +141,7 @@ def _require_in_channel(readings: Readings, length: float) -> None:
 
 
 def _rough(readings: Readings, prior: Prior, grid: Grid, state: State) -> Readings:
-    """Readings about where a first shape puts them, as uncertain as a bend by a radian makes it."""
+    """Readings located by a first shape, with the uncertainty of bending by a radian."""
     if readings.channel is None:
         return readings
     spread = np.hypot(readings.arclength_std, readings.channel.radius)

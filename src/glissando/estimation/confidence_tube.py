@@ -1,4 +1,4 @@
-"""The surface around a robot inside which it lies with a stated confidence."""
+"""Surface around a robot that contains it with a stated confidence."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def confidence_tube(
 ) -> tuple[Array, Index]:
     """Rings of the confidence surface of poses along a robot, and the points they belong to.
 
-    Across the body a ring is the ellipse of the lateral 2×2 block of the covariance, turned by its
-    symmetric root, which is smooth where principal axes would flip; both ends are rounded off.
+    A ring is the ellipse of the lateral 2×2 block of the covariance, parametrised by its symmetric
+    root, which is smooth where principal axes would flip; both ends are rounded off.
 
     Args:
         pose: Poses (…, N, 4, 4), body to world, m.
@@ -53,7 +53,7 @@ def confidence_tube(
 
 @lru_cache(maxsize=16)
 def _unit_tube(count: int, around: int) -> tuple[Index, Array, Array]:
-    """The point (R,) of each ring, and a unit tube's rings: (R, around, 2) and height (R,)."""
+    """Indices (R,) of the rings' points, and rings of a unit tube: (R, around, 2), heights (R,)."""
     rest = np.linspace(0.0, 0.5 * np.pi, _CAP, endpoint=False)
     tilt = np.concatenate([rest - 0.5 * np.pi, np.zeros(count), 0.5 * np.pi - rest[::-1]])
     ring = np.concatenate([[0] * _CAP, np.arange(count), [count - 1] * _CAP])
@@ -77,6 +77,6 @@ def tube_faces(rings: int, around: int) -> NDArray[np.intp]:
 
 
 def _fixed(array: NDArray[Any]) -> NDArray[Any]:
-    """An array that nobody writes to: all who ask share it."""
+    """The array, made read-only, as all callers share it."""
     array.flags.writeable = False
     return array

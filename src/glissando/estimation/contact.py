@@ -1,4 +1,4 @@
-"""Whether something touches the robot: a scan for a single force.
+"""Detection of contacts: a scan of a posterior for a single force along the robot.
 
 Source: equation (29).
 """
@@ -31,26 +31,28 @@ from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.quantiles import chi_square_quantile
 from glissando.solver.block_tridiagonal import factor
 
-_FEW = 0.01  # share of a node: what acts there hardly counts
+_FEW = 0.01  # share of a node below which a force there is neglected
 _LIKELY = chi_square_quantile(0.95, 3)  # squared error of a force, in its covariance
 
 
 @dataclass(frozen=True)
 class ContactScan:
-    """What a posterior says of a single force somewhere along the robot, at one time or at K.
+    """Evidence of a single force somewhere along the robot, at one time or at K times.
 
     Attributes:
-        time: Seconds (…), of time nodes.
+        time: Times (…) of time nodes, s.
         arclength: Places (C,), m.
-        log_ratio: Log evidence (…, C) of a force there over none: the map over arclength and time.
-        force: Force (…, 3) in the body's axes at the likeliest place, N: of one time if it is
-            there, of several wherever it acts. Of those NaN where the evidence is none, or the
-            readings of a short window do not tell.
-        cov: Its covariance (…, 3, 3).
-        evidence: Log evidence (…) of a force anywhere over none, all places being as likely.
-        threshold: What `evidence` exceeds, without any contact, in a share `false_alarms` of times.
-        false_alarms: That share.
-        acts: Whether (…) a force is left there by readings of all times, where it was asked.
+        log_ratio: Log ratio (…, C) of the evidence with a force there to that without: the map
+            over arclength and time.
+        force: Force (…, 3) in the body's axes at the likeliest place, N. From a single time, given
+            that it acts there; from several, averaged over places, and NaN where the evidence is
+            below the threshold or a window is too short to determine it.
+        cov: Covariance (…, 3, 3) of the force.
+        evidence: Log ratio (…) of the evidence with a force anywhere, equally likely at all places,
+            to that without.
+        threshold: Value that `evidence` exceeds in a share `false_alarms` of times without contact.
+        false_alarms: Share of times without contact at which the threshold is exceeded.
+        acts: Whether (…) readings of all times confirm a force; True where this was not computed.
     """
 
     time: Array
@@ -65,10 +67,10 @@ class ContactScan:
 
     @property
     def detected(self) -> Array:
-        """Whether (…) something touches the robot.
+        """Whether (…) a contact is detected.
 
-        A touch that begins or ends suddenly makes moments before and after it seem touched; at
-        those no force is left by the readings of all times.
+        A contact that begins or ends suddenly raises the evidence at times before and after it as
+        well; at those the readings of all times do not confirm a force.
         """
         return np.asarray(np.logical_and(self.evidence > self.threshold, self.acts))
 
@@ -79,14 +81,14 @@ class ContactScan:
 
     @property
     def shares(self) -> Array:
-        """Chance (…, C) of each place, where a force acts at one of them."""
+        """Probability (…, C) of each place, given that a force acts at one of them."""
         share = np.exp(self.log_ratio - np.max(self.log_ratio, axis=-1, keepdims=True))
         share *= shares_of_length(self.arclength)
         return np.asarray(share / np.sum(share, axis=-1, keepdims=True))
 
     @property
     def std_place(self) -> Array:
-        """Standard deviation (…) of the place, m, where a force acts at one of them."""
+        """Standard deviation (…) of the place, m, given that a force acts at one of them."""
         share = self.shares
         mean = np.sum(share * self.arclength, axis=-1, keepdims=True)
         spacing = np.gradient(self.arclength) if self.arclength.size > 1 else np.zeros(1)
@@ -94,15 +96,15 @@ class ContactScan:
         return np.asarray(np.sqrt(np.sum(share * square, axis=-1)))
 
     def without_force(self) -> ContactScan:
-        """The scan where it is not known how large a force is."""
+        """The scan with force and covariance NaN, for unknown."""
         return replace(self, force=np.full(3, np.nan), cov=np.full((3, 3), np.nan))
 
     @staticmethod
     def over(scans: Sequence[ContactScan]) -> ContactScan:
-        """Scans of K times with the same places as one, such as those of an online smoother.
+        """Join scans of K times at the same places, such as those of an online smoother.
 
         Raises:
-            GlissandoError: There is none, or their places differ.
+            GlissandoError: There are no scans, or their places differ.
         """
         if len({scan.arclength.tobytes() for scan in scans}) != 1:
             raise GlissandoError("Give scans of one smoother, one at least: they share its places.")
@@ -123,20 +125,21 @@ def scan_contacts(
 ) -> ContactScan:
     """Scan a posterior of a mechanical prior for one force, at the time nodes nearest to `time`.
 
-    A force counts as the prior's loads do, which fade over its `time_scale`. Where one is likely at
-    one of several times, how large it is comes from all readings, with a force that may act on the
-    node nearest to that place at any time. A time beside which nothing was read says nothing.
+    The force varies in time as the prior's loads do, which decay over its `time_scale`. Where one
+    is likely at one of several times, its size is estimated from all readings, with a force that
+    may act on the node nearest to that place at any time. The evidence is uninformative at time
+    nodes beside which there are no readings.
 
     Args:
-        posterior: The posterior, in whose prior there is no contact.
+        posterior: The posterior, whose prior has no contact.
         time: Seconds: one time, or (K,) for a map over arclength and time.
-        std_force: How large a force may be, N: each component (3,) in the body frame, or all;
-            `bending_force` unless given.
-        false_alarms: Share of times at which an untouched robot may be said to be touched.
+        std_force: Prior standard deviation of a force, N: of each component (3,) in the body frame,
+            or of all; `bending_force` if None.
+        false_alarms: Share of times at which a contact may be reported without any.
 
     Raises:
-        GlissandoError: The prior knows no loads, the posterior's file is of an older version, or
-            there is no such force or share.
+        GlissandoError: The prior has no mechanics, the posterior's file is of an older version, or
+            `std_force` or `false_alarms` is invalid.
         OutsideGridError: A time is off the grid.
     """
     prior, grid = require_mechanics(posterior.prior), posterior.grid
@@ -170,7 +173,7 @@ def scan_contacts(
 def with_forces(
     posterior: Posterior, scans: Sequence[ContactScan], rows: Index, variance: Array
 ) -> list[ContactScan]:
-    """Scans of some of several times with the force of each, whichever place it acts at.
+    """Scans of several times with the force at each, averaged over the places where it may act.
 
     Args:
         posterior: The posterior.
@@ -202,7 +205,7 @@ def with_forces(
 
 
 def mixed(shares: Array, mean: Array, cov: Array) -> tuple[Array, Array]:
-    """Mean (3,) and covariance (3, 3) of what is one of C with chances in proportion to shares."""
+    """Mean (3,) and covariance (3, 3) of a mixture of C, with probabilities as `shares` (C,)."""
     shares = shares / np.sum(shares)
     whole = shares @ mean
     off = mean - whole
@@ -211,9 +214,9 @@ def mixed(shares: Array, mean: Array, cov: Array) -> tuple[Array, Array]:
 
 
 def _acts(scan: ContactScan, force: Array, cov: Array) -> Array:
-    """Whether the force (3,) that readings of all times say acts at the likeliest place does so.
+    """Whether a force acts at the likeliest place, given its estimate (3,) from all times.
 
-    None acts where that may be none, and not what the readings of one time say there.
+    None acts if that estimate is compatible with zero, and not with that of the single time.
     """
     none, said = (off @ np.linalg.solve(cov, off) < _LIKELY for off in (force, force - scan.force))
     return np.asarray(said or not none)
@@ -222,13 +225,13 @@ def _acts(scan: ContactScan, force: Array, cov: Array) -> Array:
 def scan_of(
     evidence: ForceEvidence, time: float, variance: Array, false_alarms: float
 ) -> ContactScan:
-    """The scan of one time, see `scan_contacts`.
+    """Scan of one time, see `scan_contacts`.
 
     Args:
-        evidence: What the state says of a force anywhere.
+        evidence: Evidence of a force at each place.
         time: Seconds.
         variance: Prior variance (3,) of a force, N².
-        false_alarms: Share of times at which an untouched robot may be said to be touched.
+        false_alarms: Share of times at which a contact may be reported without any.
     """
     if np.asarray(false_alarms).dtype.kind not in "fi" or not RAREST <= false_alarms <= 0.5:
         raise GlissandoError(
@@ -246,12 +249,12 @@ def scan_of(
 
 
 def bending_force(prior: MechanicalPrior, arclength: Array) -> float:
-    """A force that would bend the robot (N,) by its own length if it bent in proportion, N."""
+    """Force at the tip that would deflect the robot by its length if it bent linearly, N."""
     return 3.0 * float(prior.mechanics.stiffness[:, 3:5].mean()) / float(arclength[-1]) ** 2
 
 
 def force_variance(prior: MechanicalPrior, arclength: Array, std: ArrayLike | None) -> Array:
-    """Prior variance (3,) of a force of deviations (3,) or (), `bending_force` unless given, N²."""
+    """Prior variance (3,) of a force, N², from std (3,) or (), N; `bending_force` if None."""
     given = np.asarray(bending_force(prior, arclength) if std is None else std)
     sound = given.shape in ((), (3,)) and given.dtype.kind in "fiu"
     if not sound or not np.all((given > 0.0) & np.isfinite(given)):

@@ -1,8 +1,8 @@
-"""What a state says of a force anywhere along the robot, and what an untouched robot would say.
+"""Evidence of a force anywhere along the robot, and its distribution without contact.
 
-A force at s_c adds G f to the error r of the interval it lies in. With the states marginalised it
-has information B = GᵀQ⁻¹(Q − P_r)Q⁻¹G and vector b = GᵀQ⁻¹r̂, so that log evidence grows by
-½ bᵀ(B + Σ⁻¹)⁻¹b − ½ log det(1 + ΣB). Source: equation (29).
+A force at s_c adds G f to the error r of the interval in which it lies. With the states
+marginalised it has information matrix B = GᵀQ⁻¹(Q − P_r)Q⁻¹G and vector b = GᵀQ⁻¹r̂, so that the
+log evidence grows by ½ bᵀ(B + Σ⁻¹)⁻¹b − ½ log det(1 + ΣB). Source: equation (29).
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from glissando.model.state import State
 from glissando.solver.linearize import linearize
 from glissando.solver.located_readings import locate
 
-_DRAWS = 4000  # of a robot that nothing touches, for the threshold
+_DRAWS = 4000  # of a robot without contact, for the threshold
 RAREST = 4.0 / _DRAWS
-"""Least share of false alarms that so many draws tell."""
+"""Least share of false alarms for which so many draws determine a threshold."""
 
-_PER_INTERVAL = 6  # places
-_ROUNDING = 1e-12  # of a diagonal entry of the information
-_UNSEEN = 1e-9  # share of an error's prior variance
+_PER_INTERVAL = 6  # places in an interval
+_ROUNDING = 1e-12  # relative to a diagonal entry of the information
+_UNSEEN = 1e-9  # share of an error's prior variance below which readings are uninformative
 
 
 @dataclass(frozen=True)
 class ErrorPrior:
-    """What is believed, before any reading, of the intervals' errors at one time.
+    """Prior of the intervals' errors at one time.
 
-    Their covariance is that of the shapes before, not of the shape at that time: errors fade and
+    Their covariance depends on all earlier shapes, not only on that at this time: errors decay and
     are renewed from one time node to the next, see equation (8).
 
     Attributes:
         time: Seconds.
-        noise: Covariance Q (N−1, 12, 12) of the errors that the shape at that time has.
+        noise: Stationary covariance Q (N−1, 12, 12) of errors for the shape at that time.
         cov: Covariance (2, 2, N−1, 12, 12) of errors and of their rates.
     """
 
@@ -55,7 +55,7 @@ class ErrorPrior:
         return np.asarray(self.cov[0, 0])
 
     def advanced(self, time_scale: float, time: float, noise: Array) -> ErrorPrior:
-        """The one at a later time, whose shape has errors of covariance `noise`."""
+        """The prior at a later time, whose shape has errors of covariance `noise`."""
         step = np.array([time - self.time])
         fade = matern.transition(time_scale, step)[0]
         new = matern.process_covariance(time_scale, step)[0]
@@ -67,13 +67,13 @@ class ErrorPrior:
 def error_priors(
     prior: MechanicalPrior, grid: Grid, state: State, before: ErrorPrior | None = None
 ) -> list[ErrorPrior]:
-    """What is believed of the intervals' errors at K times.
+    """Priors of the intervals' errors at K times.
 
     Args:
         prior: The prior.
-        grid: Its K times.
+        grid: Grid with the K times.
         state: Nodes (K, N).
-        before: What is believed at the first time or earlier; else the first time begins.
+        before: Prior at the first time or earlier; if None, that at the first time is stationary.
     """
     count = grid.arclength.size - 1
     start = state.take(np.s_[:, :-1]).flatten()
@@ -90,13 +90,13 @@ def error_priors(
 
 
 def seen_times(posterior: Posterior) -> NDArray[np.bool_]:
-    """Whether readings lie in the time steps beside each time node (K,).
+    """Mask (K,) of time nodes with readings in the time steps beside them.
 
-    Elsewhere the state is what it was, faded, and a force that acts there would be what explains a
-    small rest of an earlier one.
+    Elsewhere the state decays from earlier ones, and a force would only explain the small remainder
+    of an earlier force.
 
     Args:
-        posterior: A posterior that knows where it was linearised.
+        posterior: Posterior with its linearisation point.
     """
     assert posterior.linearized is not None
     alone = linearize(posterior.prior, locate(posterior.grid, []), *posterior.linearized)
@@ -107,13 +107,13 @@ def seen_times(posterior: Posterior) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class ForceEvidence:
-    """What a state says of a force at each of C places.
+    """Information on a force at each of C places, at one time.
 
     Attributes:
         arclength: Places (C,), m.
-        vector: Vectors b (C, 3).
-        root: Root (m, C, 3) of the covariance that all b together have where nothing touches the
-            robot: b = Σ w_m root_m with w of unit variance. Its blocks are the information B.
+        vector: Information vectors b (C, 3).
+        root: Root (m, C, 3) of the joint covariance of all b without contact: b = Σ w_m root_m
+            with w of unit variance. Its blocks are the information matrices B.
     """
 
     arclength: Array
@@ -121,28 +121,28 @@ class ForceEvidence:
     root: Array
 
     def take(self, rows: slice) -> ForceEvidence:
-        """What it says of some of the places."""
+        """Information at some of the places."""
         return ForceEvidence(self.arclength[rows], self.vector[rows], self.root[:, rows])
 
     def uninformative(self) -> ForceEvidence:
-        """What a state that no reading tells of says."""
+        """Information of a state without readings: zero at the same places."""
         return ForceEvidence(self.arclength, 0.0 * self.vector, 0.0 * self.root)
 
     @property
     def shares(self) -> Array:
-        """Share (C,) of the length that each place stands for."""
+        """Share (C,) of the length that each place represents."""
         return shares_of_length(self.arclength)
 
     def given_force(self, variance: Array) -> tuple[Array, Array]:
-        """Covariance (C, 3, 3) of a force of prior variance (3,), and ½ log det(1 + ΣB) (C,)."""
+        """Posterior covariance (C, 3, 3) of a force of prior variance (3,); ½ log det(1 + ΣB)."""
         blocks = np.einsum("mci,mcj->cij", self.root, self.root)
         cov = np.asarray(np.linalg.inv(blocks + np.diag(1.0 / variance)), dtype=float)
         return cov, 0.5 * np.linalg.slogdet(np.eye(3) + variance[:, None] * blocks)[1]
 
     def alarm_threshold(self, variance: Array, false_alarms: float) -> float:
-        """What the evidence of a force anywhere exceeds in a share of robots that nothing touches.
+        """Value that the evidence of a force anywhere exceeds in a share of draws without contact.
 
-        Their maps are smooth, so two places an interval are enough.
+        Maps over arclength are smooth, so two places in an interval suffice.
         """
         few = self.take(slice(1, None, _PER_INTERVAL // 2))
         cov, half_log_det = few.given_force(variance)
@@ -154,7 +154,7 @@ class ForceEvidence:
 
 
 def shares_of_length(places: Array) -> Array:
-    """Share (C,) of the length that each of C places stands for."""
+    """Share (C,) of the length that each of C places represents."""
     edges = np.concatenate([[0.0], 0.5 * (places[1:] + places[:-1]), places[-1:]])
     return np.diff(edges) / edges[-1]
 
@@ -167,18 +167,18 @@ def force_evidence(
     cov: Array,
     step: Array,
 ) -> ForceEvidence:
-    """What the posterior at one time says of a force anywhere.
+    """Information on a force anywhere from the posterior at one time.
 
-    In units of their prior, errors have the covariance I − D in the posterior, and the data say
-    nothing in directions where D is no larger than what rounding makes of it.
+    In units of their prior, errors have the covariance I − D in the posterior; directions in which
+    D is no larger than its rounding errors are treated as uninformative.
 
     Args:
         prior: The prior, without the contact.
         arclength: Nodes (N,), m.
-        errors: What was believed of the intervals' errors.
+        errors: Prior of the intervals' errors.
         state: Nodes (N,) at which the posterior is linearised.
-        cov: Its covariance (D, D), numbers of nodes first.
-        step: Step (D,) from there to its mean.
+        cov: Posterior covariance (D, D), unknowns of the nodes first.
+        step: Step (D,) from the linearisation point to the mean.
     """
     places, n, pull = _pulls(prior, arclength, state)
     count = arclength.size - 1
@@ -201,7 +201,7 @@ def force_evidence(
 
 
 def _pulls(prior: MechanicalPrior, arclength: Array, state: State) -> tuple[Array, Index, Array]:
-    """Places (C,), their intervals (C,), and what a newton there adds to the errors (C, 12, 3)."""
+    """Places (C,), their intervals (C,), and Jacobians (C, 12, 3) of errors by a force there."""
     lengths = np.diff(arclength)
     n = np.repeat(np.arange(lengths.size), _PER_INTERVAL)
     offset = lengths[n] * np.tile((np.arange(_PER_INTERVAL) + 0.5) / _PER_INTERVAL, lengths.size)

@@ -1,8 +1,8 @@
-"""What readings say of a load on a node: a force that may act there at any time, or one now.
+"""Estimates of a load on a node: a force that may act there at any time, or one at the last time.
 
-A force on a node makes the error of the interval that ends there larger, at every time. With this
-prior in the place of the one that a posterior has, its linear system is solved again. A load at the
-last time is read from the posterior, and explained by a single force elsewhere. Source: (29).
+A force on a node increases the covariance of the error of the interval that ends there, at every
+time. A posterior's linear system is solved again with this prior in place of its own. A load at the
+last time is taken from the posterior, and explained by a single force elsewhere. Source: (29).
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from glissando.solver.block_tridiagonal import BlockTridiagonal, factor
 from glissando.solver.linearize import linearize
 from glissando.solver.located_readings import locate
 
-_OWN = 2.0  # time scales that a window has to last, for its own readings to outweigh those before
-_PLACES = 1000  # over which a force is summed
-_System = tuple[Array, Array, Array]  # diagonal, lower, and right side
+_OWN = 2.0  # time scales that a window must last for its own readings to outweigh older ones
+_PLACES = 1000  # places over which a force is averaged
+_System = tuple[Array, Array, Array]  # diagonal blocks, lower blocks, right-hand side
 
 
 def nearest_nodes(arclength: Array, places: Array) -> Index:
-    """Numbers (C,) of the nodes (N,), but the base's, that are nearest to places (C,)."""
+    """Indices (C,) of the nodes (N,), except the base's, that are nearest to places (C,)."""
     return 1 + np.abs(arclength[1:] - places[:, None]).argmin(axis=1)
 
 
 def knows_forces(posterior: Posterior) -> bool:
-    """Whether the readings of a posterior alone say what force acts at its end.
+    """Whether a posterior's own readings determine a force at its last time.
 
-    What came before its first time was summed up as if nothing touched the robot, which lasts as
-    loads do; and the modes of a rod with inertia depend on where forces act.
+    Readings before its first time were marginalised without a contact, which has an effect as long
+    as loads last; and with inertia the modes of a rod depend on where forces act.
     """
     prior, grid = require_mechanics(posterior.prior), posterior.grid
     lasts = float(grid.time[-1] - grid.time[0])
@@ -45,13 +45,13 @@ def knows_forces(posterior: Posterior) -> bool:
 
 
 def with_force(posterior: Posterior, node: int, variance: Array) -> Posterior:
-    """The posterior if a force may act on a node, or half an interval beside it, at any time.
+    """Posterior if a force may act on a node, or half an interval beside it, at any time.
 
-    It lasts as the prior's loads do. The posterior is linear about where its own was linearised.
+    The force decays as the prior's loads do. The linearisation is that of the given posterior.
 
     Args:
-        posterior: A posterior of a mechanical prior, which knows where it was linearised.
-        node: Number of the arclength node, not the base's.
+        posterior: Posterior of a mechanical prior, with its linearisation point.
+        node: Index of the arclength node, not the base's.
         variance: Prior variance (3,) of the force, N².
     """
     before = require_mechanics(posterior.prior)
@@ -72,13 +72,13 @@ def with_force(posterior: Posterior, node: int, variance: Array) -> Posterior:
 
 
 def force_at(posterior: Posterior, node: int, variance: Array, rows: Index) -> tuple[Array, Array]:
-    """Forces (K, 3) that act on a node at time nodes `rows` (K,), world frame, and covariances.
+    """Forces (K, 3) on a node at time nodes `rows` (K,), world frame, and covariances (K, 3, 3).
 
     Args:
-        posterior: As of `with_force`.
-        node: Number of the arclength node, not the base's.
+        posterior: Posterior as for `with_force`.
+        node: Index of the arclength node, not the base's.
         variance: Prior variance (3,) of the force, N².
-        rows: Numbers of the time nodes.
+        rows: Indices of the time nodes.
     """
     grid = posterior.grid
     touched = with_force(posterior, node, variance)
@@ -89,7 +89,7 @@ def force_at(posterior: Posterior, node: int, variance: Array, rows: Index) -> t
 def _with_point(
     prior: MechanicalPrior, arclength: Array, node: int, variance: Array
 ) -> MechanicalPrior:
-    """The prior with a load of this variance on a node, besides what is expected there."""
+    """The prior with a load of this variance on a node, added to loads expected there."""
     lever = 0.5 * float(np.diff(arclength)[node - 1 : node + 1].max())
     more = np.concatenate([variance, np.full(3, lever**2 * variance.max())])
     place = float(arclength[node])
@@ -108,7 +108,7 @@ def _with_point(
 
 
 def _system_of(posterior: Posterior) -> _System:
-    """A posterior's system about where it was linearised, to be changed."""
+    """Copy of a posterior's system and right-hand side about its linearisation point."""
     system, start = posterior.system, posterior.linearization_point
     count = posterior.grid.time.size
     step = np.zeros(system.diagonal.shape[:2])
@@ -120,7 +120,7 @@ def _system_of(posterior: Posterior) -> _System:
 
 
 def _prior_alone(posterior: Posterior, prior: MechanicalPrior) -> _System:
-    """The system of a prior alone where a posterior was linearised."""
+    """System of a prior alone at a posterior's linearisation point."""
     states = posterior.linearized or (posterior.state, posterior.state)
     alone = linearize(prior, locate(posterior.grid, []), *states)
     return alone.system.diagonal, alone.system.lower, alone.rhs
@@ -128,14 +128,14 @@ def _prior_alone(posterior: Posterior, prior: MechanicalPrior) -> _System:
 
 @dataclass(frozen=True)
 class Wrench:
-    """What readings say of the wrench (6,) on a node, world frame, its prior left out.
+    """Wrench on a node, world frame: posterior mean, and information of the readings alone.
 
-    A force without moment that acts Δs beyond the node makes the moment Δs t × f there.
+    A force without moment that acts Δs beyond the node has the moment Δs t × f there.
 
     Attributes:
-        mean: The wrench with its prior (6,), N and N m.
+        mean: Posterior mean (6,) of the wrench, N and N m.
         vector: Information vector (6,) of the readings, N⁻¹ and (N m)⁻¹.
-        information: Their information (6, 6).
+        information: Information matrix (6, 6) of the readings.
         tangent: Tangent t (3,) of the backbone.
         of_force: Prior information (3, 3) of a force, N⁻².
     """
@@ -147,10 +147,10 @@ class Wrench:
     of_force: Array
 
     def beyond(self, length: float) -> tuple[float, float]:
-        """How far beyond the node a force acts, m, about the mean, and its standard deviation.
+        """Distance beyond the node at which a force acts, m, linear about the mean, and its std.
 
         Args:
-            length: Length of the robot, m, by which a place is unknown before.
+            length: Length of the robot, m, the prior standard deviation of the place.
         """
         lever = np.zeros((6, 4))
         lever[:3, :3] = np.eye(3)
@@ -161,10 +161,10 @@ class Wrench:
         return float(cov[3] @ lever.T @ self.vector), float(np.sqrt(cov[3, 3]))
 
     def over_places(self, place: float, length: float) -> tuple[float, float, Array, Array]:
-        """Place and force, with standard deviation and covariance (3, 3), over all places.
+        """Mean of place and force, with standard deviation and covariance (3, 3), over all places.
 
-        Near the base readings show force times place, and the force goes with one over the place:
-        it is Gaussian at each place alone, so places are summed over.
+        Near the base readings determine the product of force and place, so the force varies as one
+        over the place: it is Gaussian only given the place, and is averaged over places.
 
         Args:
             place: Arclength of the node, m.
@@ -181,8 +181,8 @@ class Wrench:
     def beside_one_force(self, place: float, length: float) -> float:
         """Squared misfit of one force at its best place: χ² of two degrees of freedom, or less.
 
-        A force has three of a wrench's six numbers, and its place one; others that act elsewhere,
-        or a moment, need more.
+        A wrench has six components; a force has three, and its place is a fourth. Several forces,
+        or a moment, leave a larger misfit.
 
         Args:
             place: Arclength of the node, m.
@@ -191,11 +191,11 @@ class Wrench:
         return float(self.vector @ self.mean - self._forces(place, length)[3].max())
 
     def _forces(self, place: float, length: float) -> tuple[Array, Array, Array, Array]:
-        """Places (P,) all along the robot, and what one force does at each.
+        """Estimates of one force at each of P places along the robot.
 
         Returns:
-            The places, forces (P, 3) with covariances (P, 3, 3), and how much (P,) of a χ² they
-            explain.
+            The places (P,), forces (P, 3) with covariances (P, 3, 3), and the χ² (P,) that each
+            explains.
         """
         places = (np.arange(_PLACES) + 0.5) * length / _PLACES
         lever = np.zeros((_PLACES, 6, 3))
@@ -209,9 +209,9 @@ class Wrench:
 
 
 def wrench_at(posterior: Posterior, place: float, variance: Array) -> Wrench:
-    """What readings say of the load on a node at the last time.
+    """Estimate of the load on a node at the last time.
 
-    Along the world's axes, as a torsional moment that is no more would turn those of the body.
+    Its axes are the world's, as a torsional moment that has ceased would turn those of the body.
 
     Args:
         posterior: The posterior, whose prior expects a load there.

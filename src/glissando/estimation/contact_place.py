@@ -1,4 +1,4 @@
-"""Where a force touches the robot: its place found exactly, the whole rod bent anew at every step.
+"""Place and size of a contact force, with the whole nonlinear problem solved at every step.
 
 Source: equation (29).
 """
@@ -25,28 +25,28 @@ from glissando.model.quantiles import chi_square_exceedance
 from glissando.model.sensors.readings import Readings
 
 _ROUNDS = 8
-_MISFIT = 5.0  # standard deviations of readings' misfit beyond which a search begins elsewhere
-_WORSE = 1.0  # by which the cost may grow on the way: a moment stands for a place that is off
-_OTHERS = chi_square_exceedance(1e-3, 2)  # squared misfit of one force, where none else acts
+_MISFIT = 5.0  # standard deviations of the readings' misfit beyond which other starts are tried
+_WORSE = 1.0  # increase in cost that is accepted, as a moment stands for an error of the place
+_OTHERS = chi_square_exceedance(1e-3, 2)  # limit on the squared misfit of one force alone
 _OF_OTHERS = (
     "No single force explains the readings: the likeliest, at {:.3g} m, leaves a squared misfit of "
     "{:.3g}, where chance leaves 2. Several touch the robot, or a moment acts, so place and force "
     "are wrong by more than is stated: name where they may act in `points` of the prior."
 )
-_STARTS = (0.15, 0.4, 0.65, 0.9)  # of the length
-_LEVER = 0.1  # of the length, by which a place may be wrong while it is sought
+_STARTS = (0.15, 0.4, 0.65, 0.9)  # shares of the length
+_LEVER = 0.1  # share of the length by which a place may be wrong during the search
 
 
 @dataclass(frozen=True)
 class Contact:
-    """A force on the robot.
+    """Estimate of a contact force on the robot.
 
     Attributes:
-        arclength: Where, m.
-        std_arclength: Its standard deviation, m.
+        arclength: Arclength of the force, m.
+        std_arclength: Standard deviation of the arclength, m.
         force: Force (3,), N, in the world frame.
-        cov_force: Its covariance (3, 3), wherever it acts.
-        posterior: The posterior with this force, and a moment that stands for its place.
+        cov_force: Covariance (3, 3) of the force, its place being uncertain.
+        posterior: Posterior with this force, and a moment that stands for the error of its place.
     """
 
     arclength: float
@@ -64,17 +64,18 @@ def locate_contact(
     start: float,
     std_force: ArrayLike | None = None,
 ) -> Contact:
-    """The place of one force and the force, with the whole rod bent anew at every step.
+    """Estimate place and size of one force, with the whole problem solved at every step.
 
-    A force moved by Δs makes the moment Δs t × f where it was, so Gauss–Newton moves it. Place and
-    force are those of one force alone: where several act, or a moment, neither is any of theirs.
+    A force displaced by Δs has the moment Δs t × f at its former place, from which Gauss–Newton
+    finds the displacement. One force alone is assumed: where several act, or a moment, the result
+    is none of them.
 
     Args:
         prior: The prior, without the contact.
-        grid: Nodes; the time is the last.
+        grid: Nodes; the force is that at the last time.
         readings: Readings of each sensor.
-        start: Where the search begins, m, as from a scan.
-        std_force: How large a force may be, N, as of `scan_contacts`.
+        start: Arclength at which the search starts, m, as from a scan.
+        std_force: Prior standard deviation of a force, N, as in `scan_contacts`.
 
     Raises:
         OutsideGridError: The start is not on the robot.
@@ -94,7 +95,7 @@ def locate_contact(
     best, reach = _touched_at(prior, grid, readings, start, variance), 0.15 * length
     if 2.0 * best.posterior.solve.cost > count + _MISFIT * np.sqrt(2.0 * count):
         for share in _STARTS:
-            with suppress(UnobservableError):  # so far off that rounding decides
+            with suppress(UnobservableError):  # so far off that rounding errors dominate
                 other = _touched_at(prior, grid, readings, share * length, variance)
                 best = min(best, other, key=lambda touched: touched.posterior.solve.cost)
     for _ in range(_ROUNDS):
@@ -119,7 +120,7 @@ def locate_contact(
 
 @dataclass(frozen=True)
 class _Touched:
-    """A load tried at a place, what readings say of it, how far beyond it a force would act."""
+    """A load tried at a place, the wrench there, and the distance to the force beyond it."""
 
     posterior: Posterior
     place: float
@@ -137,7 +138,7 @@ def _touched_at(
     variance: Array,
     near_by: Posterior | None = None,
 ) -> _Touched:
-    """The posterior with a load of this `variance` (6,) at a place, from one of a place near by."""
+    """Estimate with a load of this `variance` (6,) at a place, started from one nearby."""
     length, near = float(grid.arclength[-1]), 0.25 * float(np.diff(grid.arclength).min())
     place = float(np.clip(place, near, length - near))
     others = grid.arclength[np.abs(grid.arclength - place) > near]
@@ -150,7 +151,7 @@ def _touched_at(
         var_points=np.concatenate([prior.var_points, variance[None]])[order],
     )
     start = None if near_by is None else near_by.states_on(finer)
-    with warnings.catch_warnings(record=True) as said:  # for the place that is found
+    with warnings.catch_warnings(record=True) as said:  # issued only for the place that is found
         warnings.simplefilter("always")
         posterior = estimate(touched, finer, readings, initial=start)
     wrench = wrench_at(posterior, place, variance)

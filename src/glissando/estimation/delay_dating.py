@@ -1,8 +1,8 @@
-"""Online: by which motion delayed streams are dated, and how much of that motion is noise.
+"""Online estimation of delays by the motion of other streams, corrected for the motion's noise.
 
-A second smoother shows the motion of the streams without an estimated delay. It also answers to
-readings of nothing but noise, as it would make a robot at rest move, and what that would tell of a
-delay is taken off. See `delays`.
+A second smoother estimates the motion from the streams without an estimated delay. It is also
+solved for readings of pure noise, which make a robot at rest appear to move, and the information on
+a delay from that is subtracted. See `delays`.
 """
 
 from __future__ import annotations
@@ -31,52 +31,52 @@ from glissando.model.sensors.parameter_process import EstimatedParameters
 from glissando.model.state import State
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
-_ROUNDING = 1e-13  # of a diagonal entry of the information
+_ROUNDING = 1e-13  # relative to a diagonal entry of the information
 
 
 class DelayCounting:
-    """What is known of delays by readings that left a window, and what counts of later ones.
+    """Estimate of delays from readings that left a window, and the share of later ones that counts.
 
     A reading depends on its delay d by the slope of an estimated motion, of which a share is
-    noise, see `slope_share`. States given a delay, p(x | d), hold all the same; what readings tell
-    of the delay itself is noise by that share. So the joint density stays p(x | d) p(d), and
-    information on d alone, which is negative, takes off p(d) what does not count. Were d held at a
-    value until some counts, the readings that left the window by then would speak for that value
-    ever after. What counted when its readings left the window is not judged again.
+    noise, see `slope_share`. The density of states given a delay, p(x | d), is still valid; the
+    readings' information on the delay itself is noise by that share. So the joint density remains
+    p(x | d) p(d), and negative information on d alone removes from p(d) what does not count. If d
+    were fixed until some information counts, readings that left the window before would support the
+    fixed value ever after. The share of readings is not changed after they left the window.
     """
 
     def __init__(self, process: EstimatedParameters) -> None:
-        """Begin with what is stated."""
+        """Begin with the stated values."""
         self.columns = process.delay_columns
         delays = [p for p in process.each if is_delay(p)]
         self._delays = EstimatedParameters(process.grid, delays)
         self.begin(0.0, process.mean, np.diag(process.std**2))
 
     def begin(self, time: float, values: Array, cov: Array) -> None:
-        """What is known at a time: of all sensor parameters, values (E,), covariance (E, E)."""
+        """Begin at a time, with values (E,) and covariance (E, E) of all sensor parameters."""
         at = self.columns
         self._time, self._values, self._cov = time, values[at], cov[np.ix_(at, at)]
 
     def lag(self, stream: str) -> float:
-        """Root mean square of a stream's delay, s, by what left the window; 0 where it has none."""
+        """Root mean square of a stream's delay, s, by readings that left the window; 0 without."""
         own = [stream in parameter.streams for parameter in self._delays.each]
         return float(np.sqrt(np.sum(np.diagonal(self._cov)[own] + self._values[own] ** 2)))
 
     def correction(
         self, time: float, values: Array, info: Array, start: Array, shares: Array
     ) -> tuple[Array, Array]:
-        """Information on the delays (d, d) to add to all there is, and right-hand side (d,) by 0.
+        """Information on the delays (d, d) to add, and right-hand side (d,) about zero.
 
-        A slope with noise finds a delay too near to where it is linearised, and errs the more the
-        farther from there the delay may be: of a sum of squares of slopes that tells δ and is
-        noise by a share n, the variance is 1/δ + n E(Δd)², the mean that of (1 − n) Δd.
+        Noise of a slope biases a delay towards its linearisation point, the more the farther away
+        the delay may be: for a sum of squares of slopes with information δ, of which a share n is
+        noise, the variance is 1/δ + n E(Δd)², the mean that of (1 − n) Δd.
 
         Args:
             time: Seconds.
-            values: What all readings make of the delays (d,), s.
-            info: Information (d, d) on them.
+            values: Estimates of the delays (d,) from all readings, s.
+            info: Information (d, d) of these estimates.
             start: Values (d,) at which readings are linearised.
-            shares: How much of the slope of each counts (d,).
+            shares: Shares (d,) of the delays' slopes that count.
         """
         before, cov = self._delays.faded(time - self._time, self._values, self._cov)
         known = np.linalg.inv(cov)
@@ -93,15 +93,15 @@ class DelayCounting:
     def leave(
         self, time: float, known: tuple[Array, Array], at: Index, start: Array, shares: Array
     ) -> tuple[Array, Array]:
-        """Count what left a window; the correction to what it says of the delays of the next node.
+        """Count readings that left a window; the correction to their prior on the next node.
 
         Args:
-            time: Of that node, s.
-            known: What it says of all numbers of that node, information (D, D), of which the lower
-                half counts, and right-hand side (D,).
-            at: Which of those are the delays (d,).
-            start: Values (d,) at which these are linearised.
-            shares: How much of the slope of each counts (d,).
+            time: Time of the next node, s.
+            known: That prior on all unknowns of the node: information (D, D), of which the lower
+                half is used, and right-hand side (D,).
+            at: Indices of the delays (d,) among the unknowns.
+            start: Values (d,) at which the delays are linearised.
+            shares: Shares (d,) of the delays' slopes that count.
 
         Returns:
             Information (d, d) and right-hand side (d,) to add.
@@ -121,7 +121,7 @@ class DelayCounting:
 
 
 class Window(Protocol):
-    """A window of a smoother that estimated delays do not reach."""
+    """Window of a smoother without the streams whose delay is estimated."""
 
     nodes: Nodes
 
@@ -131,24 +131,24 @@ class Window(Protocol):
 
     @property
     def estimate_and_noise(self) -> tuple[State, State]:
-        """Nodes (K, N) as estimated, and moved by what noise of the readings makes of a robot."""
+        """Estimated nodes (K, N), and these moved by the response to noise of the readings."""
 
 
 class DelayDating:
-    """What dates the delayed readings of a window.
+    """Dates the delayed readings of a window by the motion of another window.
 
     Attributes:
-        motion: Nodes (K, N) of the window as streams without a delay show them.
-        sums: The sums of a whole window that were noted last.
-        information: What that motion and its noise tell of the delays.
-        counting: What of it counts.
+        motion: Nodes (K, N) of the window, estimated from streams without a delay.
+        sums: Sums of the whole window as last recorded.
+        information: Information on the delays from that motion and from its noise.
+        counting: Estimate of the delays from the information that counts.
     """
 
     motion: State
     sums: NormalEquationsBuilder
 
     def __init__(self, others: Window, process: EstimatedParameters) -> None:
-        """Date by the motion of a window of the other streams, of these sensor parameters."""
+        """Date the delays among sensor parameters by the motion of a window of other streams."""
         self._others, self._size = others, process.size
         self._columns = process.delay_columns
         self._delays = [p for p in process.each if is_delay(p)]
@@ -158,7 +158,7 @@ class DelayDating:
         self._reaches = False
 
     def copied(self) -> DelayDating:
-        """The same, to go on with without a change to this one."""
+        """A copy that can be changed without changing this one."""
         out = copy(self)
         out.information, out.counting = self.information.copied(), copy(self.counting)
         return out
@@ -167,23 +167,23 @@ class DelayDating:
         """Begin a window with one node.
 
         Args:
-            layout: How its numbers are laid out.
-            info: Information on them (D, D).
-            time: Its time, s.
-            known: Values (E,) and covariance (E, E) of the sensor parameters then.
+            layout: Layout of the unknowns of a slab.
+            info: Prior information (D, D) on the node.
+            time: Time of the node, s.
+            known: Values (E,) and covariance (E, E) of the sensor parameters at that time.
         """
         self.information.begin(layout, info)
         self.counting.begin(time, *known)
 
     def leave(self, nodes: Nodes, system: WindowSystem) -> None:
-        """Count what a window just left behind; these nodes (K, N) stay."""
+        """Count readings that just left the window, of which these nodes (K, N) remain."""
         self.information.drop()
         at, start = self._linearized_at(nodes, 0)
         time, known = float(nodes.time[0]), (system.info, system.rhs)
         system.add(at, *self.counting.leave(time, known, at, start, self.shares))
 
     def counted(self, nodes: Nodes, system: WindowSystem) -> Array:
-        """The step (K, D) of a window where of what readings tell of delays the share counts."""
+        """Step (K, D) of a window if only a share of the information on delays counts."""
         at, start = self._linearized_at(nodes, -1)
         own, values = system.root[:, at], start + nodes.step[-1, at]
         time, info = float(nodes.time[-1]), np.asarray(np.linalg.inv(own.T @ own))
@@ -191,22 +191,22 @@ class DelayDating:
         return system.solve_with(self.sums, at, more, rhs - more @ start)
 
     def _linearized_at(self, nodes: Nodes, node: int) -> tuple[Index, Array]:
-        """Which of a node's numbers are delays (d,), and at which values they are linearised."""
+        """Indices (d,) of the delays among a node's unknowns, and their linearisation points."""
         columns = np.array(self._columns)
         start: Array = nodes.parameters[node, columns]
         return nodes.state.numbers + columns, start
 
     def see(self, nodes: Nodes, first: int, free: int, longest: float) -> Nodes:
-        """Find the motion of a window.
+        """Compute the motion at the nodes of a window, and their derivatives by a delay.
 
         Args:
-            nodes: Its nodes (K, N).
-            first: From which one on readings are linearised.
-            free: The first whose linearisation may move: what moves with a delay is found anew.
-            longest: How long a delay may be, s; nodes that reach back less date nothing.
+            nodes: Nodes (K, N) of the window.
+            first: First node from which readings are linearised.
+            free: First node whose linearisation may move: from it on derivatives are updated.
+            longest: Longest possible delay, s; a window that spans less dates nothing.
 
         Returns:
-            The nodes, with how they move with a delay.
+            The nodes with their derivatives by a delay.
         """
         self._reaches = bool(nodes.time[-1] - nodes.time[0] >= longest)
         motion, other = self._motions(nodes)
@@ -223,7 +223,7 @@ class DelayDating:
         return moving_with(factors, nodes.own, self._columns, self._size)
 
     def see_slopes(self, stream: str, factors: Factors) -> None:
-        """Take the slopes of a stream's readings along the motion and along its noise."""
+        """Record the slopes of a stream's readings along the motion and along its noise."""
         if factors.extras is None:
             return
         m, r = factors.terms.residual.shape
@@ -237,7 +237,7 @@ class DelayDating:
 
     @property
     def shares(self) -> Array:
-        """How much of the motion's slope counts for each delay (d,): what is no noise."""
+        """Share (d,) of the motion's slope that counts for each delay, the rest being noise."""
         shares = [
             min(self.information.share(stream) for stream in parameter.streams)
             for parameter in self._delays
@@ -245,12 +245,12 @@ class DelayDating:
         return np.array(shares) if self._reaches else np.zeros(len(shares))
 
     def note(self, sums: NormalEquationsBuilder) -> None:
-        """Note what the motion tells in a whole window of these sums."""
+        """Record the sums of a whole window, and the slopes of its readings."""
         self.sums = sums
         self.information.note(sums, self._slopes)
 
     def _motions(self, nodes: Nodes) -> list[State]:
-        """The motion at the times of nodes, and with noise; none before there is any."""
+        """Motion at the times of nodes, without and with noise; constant before it is known."""
         others = self._others
         if not others.started:
             return 2 * [nodes.state.take(np.zeros(len(nodes), dtype=int))]

@@ -1,13 +1,13 @@
-"""What is known of delays: a motion dates only the readings that did not show it.
+"""Estimation of delays from the motion that streams without an estimated delay determine.
 
-Where all streams share a delay, a later motion explains their readings as well as this one: a prior
-that is the same at all times cannot tell. Gauss–Newton steps do not see that, as they leave out the
-curvature of the residuals, and would have the delay known from the motion that its own readings
-gave. So a delay is seen by the motion x₀ that streams without one give, and what is left of the
-motion, x − x₀, moves with it: with c = ∂(x − x₀)/∂t at the nodes, x = x′ + c d, and d enters the
-readings by ∂x₀/∂t alone. Streams that each have a delay of their own do not date one another. Noise
-makes a robot seem to move as well; what that would tell of a delay is taken off: see `slope_share`.
-Online, x₀ is that of a second smoother, which streams with a delay never reach: see `delay_dating`.
+Where all streams share a delay, a later motion explains their readings as well as this one, since
+the prior is the same at all times. Gauss–Newton steps omit the curvature of the residuals and with
+it this ambiguity, and would determine the delay from the motion that its own readings gave. So a
+delay is estimated from the motion x₀ of the streams without one, and the rest of the motion,
+x − x₀, moves with it: with c = ∂(x − x₀)/∂t at the nodes, x = x′ + c d, and d enters the readings
+by ∂x₀/∂t alone. Streams that each have a delay of their own do not date one another. Noise makes
+the estimate move as well; the information on a delay from that is subtracted: see `slope_share`.
+Online, x₀ is that of a second smoother, without the delayed streams: see `delay_dating`.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from glissando.solver.linearize import NormalEquations, linearize
 from glissando.solver.located_readings import LocatedReadings, locate
 from glissando.solver.outcome import Outcome
 
-_DRAWS = 4  # of noise, for what it tells of a delay
-_STEPS = 15  # in which delays settle
-_MOTION = 0.03  # standard deviations a number by which a motion that dates delays may be off
+_DRAWS = 4  # of noise, for the information on a delay that it would give
+_STEPS = 15  # most steps in which delays converge
+_MOTION = 0.03  # error allowed in the motion that dates delays, standard deviations per unknown
 
 
 def with_unseen_delays(
@@ -44,16 +44,17 @@ def with_unseen_delays(
     sensor_parameters: Sequence[SensorParameter],
     options: SolverOptions,
 ) -> Solution:
-    """A solution in which delays are known by what streams without one show, and no better.
+    """Solution in which delays are estimated from the motion of streams without a delay.
 
     Args:
         prior: The prior.
-        solution: Where the iteration ended; its memory is overwritten.
+        solution: Solution of the joint problem; its memory is overwritten.
         sensor_parameters: Parameters of the sensors.
-        options: When to stop the estimate from the streams without a delay.
+        options: Stopping criteria of the estimate from the streams without a delay.
 
     Returns:
-        The solution with another information matrix, if a delay is estimated; else the same.
+        The solution with other delays and another information matrix, if a delay is estimated;
+        else the same.
     """
     process = solution.located.parameters.process
     delays = process.delay_columns
@@ -64,7 +65,7 @@ def with_unseen_delays(
     grid, state = solution.located.grid, solution.state
     motion, shares = prior.rest_state(grid), dict.fromkeys(late, 0.0)
     if streams:
-        with suppress(UnobservableError, np.linalg.LinAlgError):  # they show no motion
+        with suppress(UnobservableError, np.linalg.LinAlgError):  # these determine no motion
             values = solution.located.parameters.by_name()
             alone = with_parameters(locate(grid, streams, others), values)
             rough = options.rougher(state.pose.shape[0] * state.numbers, _MOTION)
@@ -85,11 +86,11 @@ def _settled(
     solution: Solution,
     options: SolverOptions,
 ) -> Solution:
-    """Where steps lead in which delays move by what the motion tells of them, and nothing else.
+    """Iterate steps in which only the motion x₀ determines delays.
 
-    The least cost would have readings fall between those of other streams, where a motion that may
-    bend freely contradicts them least, whatever their delay is. Where the motion tells nothing, or
-    steps do not settle, delays are as stated, and as uncertain.
+    The least cost would shift readings between those of other streams, where a flexible motion
+    contradicts them least, whatever their delay is. Where the motion gives no information, or steps
+    do not converge, delays are as stated, and as uncertain.
     """
     unseen = dict.fromkeys(shares, 0.0)
     for counted in (shares, unseen) if any(shares.values()) else (unseen,):
@@ -107,12 +108,12 @@ def _end_of_steps(
     solution: Solution,
     options: SolverOptions,
 ) -> Solution | None:
-    """Where such steps end; None where they do not settle."""
+    """Solution to which these steps converge, or None if they do not."""
     state, at = solution.state, located
     for _ in range(_STEPS):
         seen, cholesky = _known_by_motion(prior, at, shares, state, solution)
         step = cholesky.solve(seen.rhs)
-        length = float(np.sqrt(np.sum(step * seen.rhs)))  # grows before it shrinks
+        length = float(np.sqrt(np.sum(step * seen.rhs)))  # may grow before it shrinks
         if length < options.tolerance:
             settled = replace(solution, state=state, located=at, equations=seen, cholesky=cholesky)
             ended = Outcome.CONVERGED
@@ -129,7 +130,7 @@ def _known_by_motion(
     state: State,
     solution: Solution,
 ) -> tuple[NormalEquations, Cholesky]:
-    """Normal equations of x at a state, and their factor, in the memory of a solution."""
+    """Normal equations with delays by x₀ alone, and their factor, in the memory of a solution."""
     process, time = located.parameters.process, located.grid.time
     workspace, cholesky = solution.memory(state.numbers + process.size)
     located, counts = _with_shares(located, shares)
@@ -149,9 +150,9 @@ def _known_by_motion(
 def _with_shares(
     located: LocatedReadings, shares: Mapping[str, float]
 ) -> tuple[LocatedReadings, Array]:
-    """Readings with slopes in full, and how much of the slope of each delay (d,) counts.
+    """Readings with full slopes, and the share of the slope of each delay (d,) that counts.
 
-    A delay that drifts is another at each node, and slopes of its streams are scaled instead.
+    A delay that drifts differs from node to node; slopes of its streams are scaled instead.
     """
     delays = [p for p in located.parameters.process.each if is_delay(p)]
     drifting = {n for p in delays if np.isfinite(p.correlation_time) for n in p.streams}
@@ -166,13 +167,13 @@ def _with_shares(
 def _counted(
     seen: NormalEquations, counts: Array, columns: Sequence[int], cholesky: Cholesky
 ) -> Cholesky:
-    """The factor of normal equations in which a share of the slope of each delay (d,) counts.
+    """Factor of the normal equations in which a share of the slope of each delay (d,) counts.
 
-    Readings with scaled slopes would have states known as well as if no delay were in doubt. So
-    states given the delays hold, and what is noise is taken off the delays alone: both come to
-    the same for those.
+    Readings with scaled slopes would determine states as well as if delays were certain. So the
+    states given the delays are kept, and the information from noise is subtracted from the delays
+    alone, for which both are equivalent.
     """
-    process, node = seen.located.parameters.process, len(seen.rhs) // 2  # any, of a constant
+    process, node = seen.located.parameters.process, len(seen.rhs) // 2  # any of a constant
     cov, unit = np.zeros((len(columns), len(columns))), np.zeros_like(seen.rhs)
     for row, column in enumerate(columns):
         unit[node, column] = 1.0
@@ -191,7 +192,7 @@ def _counted(
 def delayed(
     sensor_parameters: Sequence[SensorParameter],
 ) -> tuple[set[str], list[SensorParameter]]:
-    """Names of the streams whose delay is estimated, and all parameters that are no such delay."""
+    """Names of the streams whose delay is estimated, and all parameters but these delays."""
     others = [p for p in sensor_parameters if not is_delay(p)]
     return {name for p in sensor_parameters if is_delay(p) for name in p.streams}, others
 
@@ -202,7 +203,7 @@ def delayed_streams(process: EstimatedParameters) -> list[str]:
 
 
 def at_times(state: State, nodes: Array, time: Array) -> State:
-    """Nodes (K, N) at other times (M,): straight between two, held before, straight on after."""
+    """Nodes (K, N) at other times (M,): linear between two, constant before, extrapolated after."""
     if nodes.size == 1:
         return state.take(np.zeros(time.size, dtype=int))
     lower = np.clip(np.searchsorted(nodes, time, side="right") - 1, 0, nodes.size - 2)
@@ -215,10 +216,10 @@ def moving_with(factors: Factors, own: Array, columns: Sequence[int], size: int)
     """Factors of x′ by x = x′ + c d.
 
     Args:
-        factors: Linearised at the nodes (K, N), in order of time.
-        own: c (K, N, dof) of those nodes.
-        columns: Which parameters are delays.
-        size: How many numbers all parameters have.
+        factors: Factors linearised at the nodes (K, N), in order of time.
+        own: Derivatives c (K, N, dof) of these nodes.
+        columns: Columns of the parameters that are delays.
+        size: Number of unknowns of all parameters.
     """
     m, r = factors.jacobian.shape[:2]
     k, n = np.divmod(factors.nodes, own.shape[1])
@@ -226,7 +227,7 @@ def moving_with(factors: Factors, own: Array, columns: Sequence[int], size: int)
     extras = np.zeros((m, r, 2, size))
     if factors.extras is not None:
         extras += factors.extras.reshape(extras.shape)
-    first = np.minimum(k[:, :1], max(len(own) - 2, 0))  # the interval in which the solver puts them
+    first = np.minimum(k[:, :1], max(len(own) - 2, 0))  # the interval that the solver assigns
     for end in range(2):
         by_delay = np.sum(by_node * (k - first == end)[..., None], axis=1)
         extras[:, :, end, columns] -= by_delay[..., None]
@@ -239,8 +240,8 @@ def is_delay(parameter: SensorParameter) -> bool:
 
 
 def slope_in_time(state: State, time: Array) -> Array:
-    """Slope (K, N, dof) of nodes along time, between their neighbours."""
-    if time.size == 1:  # no motion is seen
+    """Slope (K, N, dof) of nodes in time, by differences of their neighbours."""
+    if time.size == 1:  # there is no motion
         return np.zeros((*state.pose.shape[:2], state.dof))
     k = np.arange(time.size)
     before, after = np.maximum(k - 1, 0), np.minimum(k + 1, time.size - 1)
@@ -249,12 +250,12 @@ def slope_in_time(state: State, time: Array) -> Array:
 
 
 def _moving_along(system: BlockTridiagonal, own: Array, columns: list[int]) -> BlockTridiagonal:
-    """The system of x′ by x = x′ + c d, in place: c `own` (K, n) of the first n numbers of a slab.
+    """System of x′ by x = x′ + c d, in place.
 
     Args:
         system: The system (K slabs) of x.
-        own: c.
-        columns: Which numbers of a slab are delays.
+        own: Derivatives c (K, n) of the first n unknowns of each slab.
+        columns: Columns of a slab that are delays.
     """
     n, slabs = own.shape[1], ((system.diagonal, own, own), (system.lower, own[1:], own[:-1]))
     for blocks, of_rows, of_columns in slabs:

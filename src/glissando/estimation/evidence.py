@@ -1,7 +1,7 @@
-"""The evidence of readings: how likely a prior makes them.
+"""Normaliser of a prior, for the evidence of readings.
 
-A prior is given as factors. What these leave out is how large their product is over all states,
-which depends on the prior's numbers and, where a rod's two ends determine it, on its mechanics.
+A prior is given as factors. The integral of their product over all states is not 1: it depends on
+the prior's parameters and, where a rod's two ends determine it, on its mechanics.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from glissando.solver.square_root import root_information
 
 
 def log_normalizer(prior: Prior, grid: Grid, state: State, noise_state: State) -> float:
-    """Logarithm of what the prior's factors, each of them normalised, must be multiplied by.
+    """Logarithm of the constant that normalises the product of the prior's normalised factors.
 
     Source: equation (22).
 
@@ -28,7 +28,7 @@ def log_normalizer(prior: Prior, grid: Grid, state: State, noise_state: State) -
         prior: The prior.
         grid: The nodes.
         state: Nodes (K, N) to linearise at.
-        noise_state: Nodes whose rates its weights come from.
+        noise_state: Nodes (K, N) from whose rates the weights are computed.
 
     Raises:
         UnobservableError: The prior alone leaves states undetermined.

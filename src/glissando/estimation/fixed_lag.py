@@ -1,9 +1,9 @@
-"""Online: the newest state with its covariance while readings come in, and what came before it.
+"""Online estimation: the newest states with covariance while readings arrive.
 
-A fixed-lag smoother: the last time nodes are estimated together, what is older is a prior on them.
-Readings may come late, out of order, twice or not at all; each is checked against what all others
-say before it is believed. Source: Särkkä and Svensson, *Bayesian
-Filtering and Smoothing* (2nd ed.), chapter 12.
+A fixed-lag smoother estimates the last time nodes together; older ones are marginalised into a
+prior on them. Readings may be late, out of order, repeated or missing; each is used only if its
+innovation against all others passes a gate. Source: Särkkä and Svensson, *Bayesian Filtering and
+Smoothing* (2nd ed.), chapter 12.
 """
 
 from __future__ import annotations
@@ -50,17 +50,18 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.block_tridiagonal import Marginals
 
-_DATED = 4  # time nodes at least, where a delay is estimated: readings have to settle in them
-_STEP = 0.1  # s between the time nodes of a first call, if the prior has digits for it
-_BEYOND = 1.5  # times as far back, for slopes at the oldest node
+_DATED = 4  # least number of time nodes where a delay is estimated, for readings to converge
+_STEP = 0.1  # s between the time nodes of a first call, if the prior's numerics allow it
+_BEYOND = 1.5  # factor on how far the other window reaches back, for slopes at the oldest node
 
 
 class FixedLagSmoother:
-    """A smoother over the last time nodes of a prior on fixed arclength nodes.
+    """Fixed-lag smoother over the last time nodes, on fixed arclength nodes.
 
-    A reading is refused when its innovation would come by chance once in 1 / `gate` times, unless
-    its stream has been refused for long; of an update half are at most, or five of few. Where the
-    prior knows mechanics, none is that a touch explains. One thread at a time may use it.
+    A reading is refused when the probability of so large an innovation is below `gate`, unless its
+    stream has been refused for long. An update refuses at most half of its new readings, or five
+    if these are few. With a mechanical prior no reading that a contact explains is refused. A
+    smoother is not thread-safe.
     """
 
     def __init__(
@@ -77,15 +78,17 @@ class FixedLagSmoother:
         Args:
             model: The robot, or the prior of its motion.
             arclength: Arclength nodes (N,), metres.
-            window: Time nodes to keep; 1 is a filter. Where a delay is estimated they are four at
-                least, and as many as it takes to reach back as far as it may be.
-            sensor_parameters: Applied where they are known, estimated where they are not. Those of
-                the robot unless given; of a prior none.
-            gate: Chance below which an innovation is refused; None refuses none.
+            window: Number of time nodes to keep; 1 is a filter. Where a delay is estimated at least
+                four are kept, and as many as span the longest possible delay.
+            sensor_parameters: Parameters of the sensors; known ones are applied, others estimated.
+                If None, those of the robot; a prior has none.
+            gate: Probability below which an innovation is refused; None refuses no reading.
 
         Raises:
-            OutsideGridError: The window is empty or no whole number, or nodes are in millimetres.
-            GlissandoError: The prior is none, or two sensor parameters have one name.
+            OutsideGridError: The window is empty or not a whole number, or nodes are in
+                millimetres.
+            GlissandoError: The model is neither a robot nor a prior, or two sensor parameters have
+                the same name.
         """
         require_window(window)
         require_gate(gate)
@@ -100,9 +103,9 @@ class FixedLagSmoother:
         self._steps = WindowSteps(self._window, window, gate)
         self._monitor = OnlineMonitor(prior, self.arclength)
         self._errors: ErrorPrior | None = None  # of the window's first node, for contacts
-        self._undelayed: WindowSteps | None = None  # the motion by which delays are known
+        self._undelayed: WindowSteps | None = None  # of the motion that determines delays
         self._shown = prior.fixes_base
-        if self._late:  # slopes at the oldest node take one before it
+        if self._late:  # slopes at the oldest node need a node before it
             undelayed = SlidingWindow(prior, self.arclength, others)
             self._window.date_by(undelayed)
             self._undelayed = WindowSteps(undelayed, window + 2, gate)
@@ -117,17 +120,17 @@ class FixedLagSmoother:
 
     @property
     def time(self) -> float | None:
-        """Time of the newest node, None before the first."""
+        """Time of the newest node, s; None before the first."""
         return self._steps.time
 
     def add(self, readings: Readings) -> None:
-        """Take readings of one stream, told apart by `name`; they are used when time reaches them.
+        """Add readings of one stream, identified by `name`, to use when time reaches them.
 
-        Those that came before, lie before the window, off the robot, or more than two seconds ahead
-        of the time that is advanced to are dropped and counted in `dropped`.
+        Readings that are repeated, lie before the window or off the robot, or are more than two
+        seconds ahead of the time given to `advance`, are dropped and counted in `dropped`.
 
         Raises:
-            SensorError: The stream changed its kind.
+            SensorError: The stream had readings of another class before.
         """
         require_kind(readings, Readings, "stream", "give the readings of one sensor at a time")
         require_jacobians(self._window.prior, self.arclength, [readings])
@@ -139,17 +142,17 @@ class FixedLagSmoother:
         self._steps.take(readings)
 
     def advance(self, time: float) -> StateEstimate:
-        """Go on to a time with all readings up to then; the newest state at the nodes (N,).
+        """Advance to a time with all readings up to it; return the newest state at the nodes (N,).
 
-        A time that is not after the newest node's, or hardly, changes nothing but brings in what
-        came late. Where times are closer than the prior has digits for, there is no node at each of
-        them: the state is then predicted from the newest node.
+        A time that is not after the newest node's, or only just, adds no node but late readings.
+        Where times are closer than the prior's numerics allow, not each of them has a node: the
+        state is then predicted from the newest node.
 
         Args:
-            time: Seconds.
+            time: Time to advance to, s.
 
         Raises:
-            OutsideGridError: The time is not finite, or lies seconds before all that is estimated.
+            OutsideGridError: The time is not finite, or lies seconds before the window.
         """
         if np.ndim(time) or np.asarray(time).dtype.kind not in "fiu" or not np.isfinite(time):
             raise OutsideGridError(f"The time to advance to is {time!r}; give seconds, a number.")
@@ -169,8 +172,8 @@ class FixedLagSmoother:
     def _reach_back(self, undelayed: WindowSteps) -> None:
         """Keep nodes as far back as delayed readings may have been taken.
 
-        One that leaves the window before it is placed is lost, and with every one that does the
-        delay looks longer.
+        A reading whose time leaves the window before it is used is lost, and every such loss biases
+        the delay towards longer values.
         """
         window = self._window
         self._steps.reach = window.longest_delay if window.started else 0.0
@@ -186,17 +189,17 @@ class FixedLagSmoother:
             raise OutsideGridError("There is no estimate yet; call advance(time) first.")
 
     def posterior(self) -> Posterior:
-        """The window as a posterior, to query, draw and save like any other."""
+        """The window as a posterior, to query, plot and save like that of a recording."""
         self._require_started()
         return self._window.posterior()
 
     def contacts(
         self, *, std_force: ArrayLike | None = None, false_alarms: float = 0.01
     ) -> ContactScan:
-        """A scan of the newest state for something that touches, see `scan_contacts`.
+        """Scan the newest state for a contact, see `scan_contacts`.
 
-        It is best asked after every update, as it remembers by how much shapes before differed. A
-        state whose last interval has no readings says nothing of what touches.
+        Call it after every update, as it propagates the covariance of the errors from call to call.
+        If the last interval has no readings the scan is uninformative.
         """
         self._require_started()
         prior, nodes = require_mechanics(self.prior), self._window.nodes
@@ -215,9 +218,9 @@ class FixedLagSmoother:
         return with_forces(self._window.posterior(), [scan], row, variance)[0]
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
-        """State and covariance inside the window, or ahead of it as the prior predicts.
+        """State and covariance inside the window, or predicted by the prior ahead of it.
 
-        Far ahead, and while nothing was read, that is what is known of a robot at rest.
+        Far ahead, and before the first reading, it is the prior's state at rest.
 
         Args:
             arclength: Metres; broadcast with `time`.
@@ -230,10 +233,10 @@ class FixedLagSmoother:
         place, when = points_of(arclength, time)
         if not np.isfinite(when).all():
             raise OutsideGridError(f"The time asked for is {time!r}; give finite seconds.")
-        if self._steps.resting:  # a robot at rest is known as well at any later time
+        if self._steps.resting:  # a robot at rest has the same covariance at any later time
             when = np.minimum(when, float(self._window.nodes.time[-1]))
         wide = self._steps.curved and self.arclength.size > 1
-        if np.all(when == self.time):  # as a rule, and then older nodes are not needed
+        if np.all(when == self.time):  # the usual case, which needs no older nodes
             state, cov, grid = self.newest_node()
             known = partial(spread, grid, Marginals(cov[np.newaxis], np.zeros((0, *cov.shape))))
             at = state_at(self.prior, grid, state.take(np.newaxis), known, place, when)
@@ -247,21 +250,21 @@ class FixedLagSmoother:
         return _merged(late, self.at(place[~late], when[~late]), ahead)
 
     def placed(self, readings: Readings) -> Readings:
-        """Readings of a sensor in a channel, as those where the newest shape puts it. (M8)."""
+        """Readings of a sensor in a channel, located by the newest shape (M8); others unchanged."""
         if readings.channel is None:
             return readings
         state, _, grid = self.newest_node()
         return place_in_channel(readings, self.prior, grid, state.take(np.newaxis))
 
     def iterate(self, tolerance: float = 1e-9, most: int = 50) -> int:
-        """Linearise the whole window again until no number moves by more.
+        """Relinearise and solve the whole window until the step is below a tolerance.
 
         Args:
-            tolerance: Largest move of any number.
-            most: Most rounds.
+            tolerance: Largest component of the step that is accepted.
+            most: Largest number of rounds.
 
         Returns:
-            The rounds it took.
+            Number of rounds.
         """
         rounds, moved = 0, np.inf
         while moved >= tolerance and rounds < most:
@@ -274,11 +277,11 @@ class FixedLagSmoother:
         return rounds
 
     def newest_node(self) -> tuple[State, Array, Grid]:
-        """The newest time by itself: what a plan or another estimate goes on from.
+        """Marginal of the newest time, from which a plan or another estimate continues.
 
         Returns:
-            Estimate (N,), covariance (D, D) of its nodes' numbers and then the sensor parameters',
-            and a grid of it alone, which knows what came before.
+            Estimate (N,); covariance (D, D) of the unknowns of its nodes, then of the sensor
+            parameters; and a grid of this time alone, with the time of the node before.
         """
         self._require_started()
         state, cov = self._window.newest()
@@ -286,12 +289,12 @@ class FixedLagSmoother:
 
     @property
     def updates(self) -> int:
-        """How many updates there were."""
+        """Number of updates."""
         return self._steps.updates
 
     @property
     def restarts(self) -> int:
-        """How often it began again from rest."""
+        """Number of restarts from rest."""
         return self._steps.restarts
 
     @property
@@ -301,27 +304,27 @@ class FixedLagSmoother:
 
     @property
     def sensor_parameters(self) -> tuple[SensorParameter, ...]:
-        """What of the sensors is estimated, in the order of its numbers."""
+        """Sensor parameters that are estimated, in the order of their unknowns."""
         return self._window.sensor_parameters
 
     @property
     def dropped(self) -> dict[str, Counter[str]]:
-        """How many readings of each stream were not used, by reason."""
+        """Number of readings of each stream that were not used, by reason."""
         return self._steps.gate.dropped
 
     @property
     def nis(self) -> float | None:
-        """Mean squared innovation per degree of freedom of late; 1 when the model fits."""
+        """Mean recent squared innovation per degree of freedom; 1 when the model fits."""
         return self._steps.gate.nis
 
     @property
     def fits(self) -> bool:
-        """Whether innovations of late are as small as chance allows, the robot within its reach."""
+        """Whether recent innovations are as small as chance allows, the robot within its reach."""
         return self._steps.gate.fits and not self._monitor.beyond
 
 
 def _merged(late: NDArray[np.bool_], early: StateEstimate, other: StateEstimate) -> StateEstimate:
-    """States of two kinds of points, by which of all points (…) are of the second."""
+    """Merge states of two groups of points; the mask `late` (…) marks those of the second."""
     spread = ShapeSpread in (type(early), type(other))
     if spread:
         early, other = (
@@ -337,7 +340,7 @@ def _merged(late: NDArray[np.bool_], early: StateEstimate, other: StateEstimate)
 
 
 def _meet(prior: Prior, arclength: Array) -> None:
-    """Call what updates call of a prior, so that its kernels are there before any reading is."""
+    """Call all kernels of a prior once, so that they are compiled before the first reading."""
     step = max(_STEP, prior.least_step(arclength))
     grid = Grid(arclength, [0.0, step])
     rest = prior.rest_state(grid)

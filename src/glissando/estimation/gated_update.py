@@ -1,4 +1,4 @@
-"""An update of a sliding window: solve with what came, refuse what nothing else agrees with."""
+"""Update of a sliding window: solve with new readings, and refuse those that others refute."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import SolverOptions
 
 _RENEWED = 2  # intervals before the newest node that an update linearises again
-_CLOSE = 0.02  # standard deviations: where the last step missed by less, the newest alone will do
-_MISS = 0.05  # standard deviations by which a step may miss before it is followed by another
+_CLOSE = 0.02  # standard deviations: if the last step's error was less, only the newest interval is
+_MISS = 0.05  # standard deviations: a step with a larger error is followed by another
 _LONG, _BRIEF = 30, 10  # iterations of a start, with other shapes and without
-_SAVED = 400  # iterations that starts may take at once, and as many as updates after that
-_SUDDEN = 0.1  # s: how fast touches come
-_MOST = 5  # steps of a solution, and readings that any update may refuse
+_SAVED = 400  # most iterations saved up for starts; every update saves one
+_SUDDEN = 0.1  # s: time scale of contacts
+_MOST = 5  # most steps of a solution, and readings that any update may refuse
 
 
 class GatedUpdate:
-    """Updates of a window from a buffer of readings, each of which a gate judges."""
+    """Updates a window from a buffer of readings, each tested by an innovation gate."""
 
     def __init__(self, window: SlidingWindow, buffer: ReadingBuffer, gate: InnovationGate) -> None:
         self._window, self._buffer, self._gate = window, buffer, gate
@@ -37,22 +37,22 @@ class GatedUpdate:
         self._touched = under_touches(window.prior, window.arclength, _SUDDEN)
 
     def first_changed(self, earliest: float) -> int:
-        """The first node whose interval is to be linearised again for readings since `earliest`."""
+        """First node whose interval must be linearised again for readings since `earliest`."""
         time = self._window.nodes.time
         renewed = _RENEWED if self._missed > _CLOSE else 1
         if self._window.dating is not None:
-            renewed = len(time)  # a delay is known by slopes, which later readings make better
+            renewed = len(time)  # delays depend on slopes, which later readings improve
         late = int(time.searchsorted(earliest, "right")) - 1
         return max(0, min(len(time) - 1 - renewed, late, self._window.intact - 1))
 
     def start(self, fresh: Counter[str]) -> bool:
-        """Estimate all there is from rest, as a recording is; whether that could be done.
+        """Estimate the whole window from rest, as a recording; whether that succeeded.
 
-        Other shapes than rest cost as much as hundreds of updates and are tried as rarely, for
+        Starts other than rest cost as much as hundreds of updates and are tried as rarely, since
         readings that no shape explains, as of a tracker in another frame, come again and again.
 
         Args:
-            fresh: New readings of each stream, cleared where no shape comes near.
+            fresh: Number of new readings of each stream; cleared if no shape explains them.
         """
         window = self._window
         readings = self._buffer.streams(window.since(0))
@@ -62,14 +62,14 @@ class GatedUpdate:
             grid = window.grid()
             posterior = estimate_in_passing(
                 window.prior,
-                grid.at_times(grid.time, grid.before),  # a lone node for a second: nearer to rest
+                grid.at_times(grid.time, grid.before),  # a single node lasts 1 s: nearer to rest
                 readings,
                 window.parameters.believed(),
                 SolverOptions(max_iterations=most),
                 gate=CHANCE,
             )
         except UnobservableError:
-            return False  # not yet: some other sensor will fix the base
+            return False  # until another sensor fixes the base
         except UnreachableError:
             self._spare -= most
             self._refuse_all(readings)
@@ -80,20 +80,21 @@ class GatedUpdate:
         return True
 
     def update(self, first: int, fresh: Counter[str], *, linear: bool) -> None:
-        """Solve from a node on, more than once if far; refuse what nothing else agrees with.
+        """Solve from a node on, in several steps if necessary, and refuse outliers.
 
-        Where a wrong reading led, its neighbours look wrong: which one it is, is seen from where
-        nodes were before. Of many readings no more than half are refused: where most disagree with
-        what is believed, as when a robot moves as never before, the belief is what is wrong.
-        None is refused that a touch explains, where the prior knows mechanics.
+        An outlier displaces the estimate so that its neighbours seem wrong; which reading is the
+        outlier is decided by one step from the nodes before the update. At most half of many
+        readings are refused: where most disagree with the estimate, as when a robot moves as never
+        before, the estimate is wrong. With a mechanical prior no reading that a contact explains is
+        refused.
 
         Args:
-            first: The node.
-            fresh: New readings of each stream; refused ones are taken off.
-            linear: Whether belief is narrow enough to refuse a reading by.
+            first: First node to solve from.
+            fresh: Number of new readings of each stream; refused ones are subtracted.
+            linear: Whether the covariance is small enough for innovations to be tested.
 
         Raises:
-            NotLinearError: New readings contradict a belief that cannot refuse them.
+            NotLinearError: New readings contradict an estimate too uncertain to refuse them.
         """
         self._spare = min(self._spare + 1, _SAVED)
         window, before = self._window, self._window.points
@@ -128,15 +129,15 @@ class GatedUpdate:
         return self._buffer.since(self._window.since(first))
 
     def refuse(self, fresh: Counter[str]) -> None:
-        """Refuse all new readings of each stream, of which none is left."""
+        """Refuse all new readings of each stream and clear their numbers."""
         held = self._buffer.streams(-np.inf)
         self._refuse_all([r.select(slice(len(r) - fresh[r.label], None)) for r in held])
         fresh.clear()
 
     def _under_touches(self, first: int, readings: HeldReadings) -> SlidingWindow:
-        """The window solved as if something may touch the robot, or itself where that says nothing.
+        """The window solved with a prior of contacts.
 
-        It does not where the prior knows no loads, or the solution breaks down.
+        It is the window itself if the prior has no mechanics, or that solution breaks down.
         """
         window = self._window
         if self._touched is window.prior:
@@ -151,7 +152,7 @@ class GatedUpdate:
     def _most_wrong(
         self, window: SlidingWindow, fresh: Counter[str], *, first_look: bool = False
     ) -> tuple[str, float, float] | None:
-        """Stream, time and arclength of the new reading that fits least, if beyond belief."""
+        """Stream, time and arclength of the new reading farthest beyond the gate, if any."""
         worst, wrong = 1.0, None
         for innovations in window.innovations(fresh):
             stream, places = innovations.stream, innovations.arclength.tolist()
@@ -169,13 +170,13 @@ class GatedUpdate:
                 self._refuse(readings.label, time, arclength)
 
     def _refuse(self, stream: str, time: float, arclength: float) -> None:
-        """Let go of a reading, one at a time as a wrong one makes its neighbours look wrong."""
+        """Refuse a single reading, as an outlier makes its neighbours seem wrong."""
         self._gate.strike(stream, arclength)
         self._buffer.discard(stream, time, arclength)
 
 
 def _solve(window: SlidingWindow, first: int, readings: HeldReadings, most: int) -> float:
-    """Linearise and solve from a node on until a step misses by little; by how much it does."""
+    """Linearise and solve from a node on until a step's error is small; that error."""
     missed = np.inf
     for _ in range(most):
         window.relinearize(first)

@@ -1,4 +1,4 @@
-"""Whether what an estimator is given is what it asks for: said in a sentence, before any work."""
+"""Checks of the arguments of estimators, which raise errors before any computation."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 from glissando.solver.gauss_newton import SolverOptions
 
-_FAR = 5.0  # standard deviations of an offset
-_LIKE = 0.75  # how alike names are of which one may be misspelt
+_FAR = 5.0  # standard deviations of an offset beyond the grid that are allowed
+_LIKE = 0.75  # similarity of names above which one may be misspelt
 
 
 def model_of(
     model: Prior | Robot, sensor_parameters: Sequence[SensorParameter] | None
 ) -> tuple[Prior, Sequence[SensorParameter]]:
-    """The prior of a model, and its sensor parameters unless others are given.
+    """Prior of a model, and its sensor parameters unless others are given.
 
     Args:
-        model: A robot, or a prior, which has none.
-        sensor_parameters: Those to take in their place.
+        model: A robot, or a prior, which has no sensor parameters.
+        sensor_parameters: Sensor parameters to use instead, or None.
     """
     if isinstance(model, Robot):
         own = model.sensor_parameters if sensor_parameters is None else sensor_parameters
@@ -52,10 +52,10 @@ def model_of(
 def static_model(
     model: Prior | Robot, readings: Sequence[Readings]
 ) -> tuple[Prior, list[Readings]]:
-    """The prior of a model, and readings of static shapes with what it knows of their sensors.
+    """Prior of a model, and readings of static shapes corrected for its sensor parameters.
 
     Args:
-        model: A robot, or a prior, which knows none.
+        model: A robot, or a prior, which has no sensor parameters.
         readings: The readings.
 
     Raises:
@@ -81,7 +81,7 @@ def require_batch(
     initial: State | None,
     options: SolverOptions | None,
 ) -> None:
-    """Raise GlissandoError for what cannot be estimated as a recording."""
+    """Raise GlissandoError if the arguments of a batch estimate are wrong."""
     require_kind(grid, Grid, "grid", "give robot.grid(first, last) or a Grid")
     require_model(prior, grid.arclength, sensor_parameters)
     require_list(readings, Readings, "readings")
@@ -111,7 +111,7 @@ def require_batch(
 
 
 def require_jacobians(prior: Prior, arclength: Array, readings: Sequence[Readings]) -> None:
-    """Raise SensorError where a sensor of one's own states a derivative of something else."""
+    """Raise SensorError if a user-defined sensor's Jacobian is not that of its residual."""
     own = [r for r in readings if not type(r).__module__.startswith("glissando.")]
     if own:
         rest = prior.rest_state(Grid(arclength, [0.0])).take(0)
@@ -120,7 +120,7 @@ def require_jacobians(prior: Prior, arclength: Array, readings: Sequence[Reading
 
 
 def _require_once(readings: Sequence[Readings]) -> None:
-    """Raise SensorError where readings are given twice, which would count twice."""
+    """Raise SensorError if the same readings are given twice, as they would count twice."""
     for one, other in combinations(readings, 2):
         names = ("time", "arclength", "values", "mount")
         fields = ((getattr(r, name) for r in (one, other)) for name in names)
@@ -135,7 +135,7 @@ def _require_once(readings: Sequence[Readings]) -> None:
 def _warn_of_strangers(
     readings: Sequence[Readings], sensor_parameters: Sequence[SensorParameter]
 ) -> None:
-    """Say so where no sensor parameter belongs to any reading, and one that has no name may."""
+    """Warn if sensor parameters belong to no readings, and a name may be missing or misspelt."""
     names = {r.name for r in readings}
     theirs = sorted({name for p in sensor_parameters for name in p.streams})
     if not theirs or names.intersection(theirs):
@@ -151,7 +151,7 @@ def _warn_of_strangers(
 
 
 def require_base(prior: Prior, readings: Sequence[Readings]) -> None:
-    """Raise UnobservableError where neither the prior nor a reading fixes the base."""
+    """Raise UnobservableError if neither the prior nor a reading fixes the base."""
     if not prior.fixes_base and not any(r.fixes_base and len(r) for r in readings):
         raise UnobservableError(
             "Nothing fixes the base: the robot has no [base] and no pose, coil or position stream "
@@ -162,7 +162,7 @@ def require_base(prior: Prior, readings: Sequence[Readings]) -> None:
 def require_model(
     prior: Prior, arclength: Array, sensor_parameters: Sequence[SensorParameter] = ()
 ) -> None:
-    """Raise GlissandoError for no prior, nodes in millimetres or off the base, or equal names."""
+    """Raise GlissandoError for a wrong prior, nodes in mm or off the base, or equal names."""
     if isinstance(prior, type) or not hasattr(prior, "rest_state"):
         raise GlissandoError(f"The prior is a {type(prior).__name__}; give a Robot or a Prior.")
     longest = float(np.max(arclength, initial=0.0))
@@ -187,7 +187,7 @@ def require_model(
 
 
 def _require_plausible(grid: Grid, readings: Readings, parameter: SensorParameter) -> None:
-    """Raise where a mount would change nothing, or an offset leads most readings off the grid."""
+    """Raise if a mount would have no effect, or an offset shifts most readings off the grid."""
     if parameter.kind == "mount" and not readings.mounted:
         raise SensorError(
             f"{readings.label}: readings of kind {readings.kind} have no mount; leave sensor "
@@ -207,7 +207,7 @@ def _require_plausible(grid: Grid, readings: Readings, parameter: SensorParamete
 
 
 def arclength_nodes(given: ArrayLike) -> Array:
-    """Arclength nodes (N,) as they are given; raises OutsideGridError unless they are numbers."""
+    """Arclength nodes (N,) as an array; raises OutsideGridError unless they are numbers."""
     try:
         nodes = np.asarray(given, dtype=float)
     except (TypeError, ValueError):
@@ -224,7 +224,7 @@ def require_options(options: SolverOptions | None) -> None:
 
 
 def require_gate(gate: float | None) -> None:
-    """Raise SensorError unless a gate is a chance that a reading may have, or none."""
+    """Raise SensorError unless a gate is a probability, or None."""
     if gate is not None and not (is_number(gate) and 0.0 < gate < 1.0):
         raise SensorError(
             f"The gate is {gate!r}; give the chance, between 0 and 1, below which a reading is "
@@ -244,13 +244,13 @@ def require_window(window: int) -> None:
 
 
 def require_kind(given: Any, kind: type | tuple[type, ...], name: str, advice: str) -> None:
-    """Raise GlissandoError, which names the argument, unless it is of a class."""
+    """Raise GlissandoError, with the argument's name, unless it is of a class."""
     if not isinstance(given, kind):
         raise GlissandoError(f"The {name} is a {type(given).__name__}; {advice}.")
 
 
 def require_list(given: Any, kind: type, name: str) -> Any:
-    """The entries of a list, each of one class; raises SensorError for anything else."""
+    """The list, if all its entries are of one class; raises SensorError otherwise."""
     if isinstance(given, kind) or not isinstance(given, Collection):
         raise SensorError(
             f"The {name} are a {type(given).__name__} and go in a list; give a list of "

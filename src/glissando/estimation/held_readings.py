@@ -1,4 +1,4 @@
-"""Readings that an online estimator holds: those of one span of time, to linearise."""
+"""Readings held by an online estimator, from one time on, to be linearised."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from glissando.model.sensors.readings import Readings
 
 @dataclass(frozen=True)
 class HeldReadings:
-    """Readings of some time and after.
+    """Readings at and after a time.
 
     Attributes:
-        streams: Those that come stream by stream, none empty.
-        rows: Those that come as rows, of any time.
-        which: Rows (M,) of the time asked for.
-        labels: Label and degrees of freedom of the streams of rows, by their numbers.
+        streams: Readings of streams that are not stored as rows, none empty.
+        rows: Readings that are stored as rows, of any time.
+        which: Indices (M,) of the rows at and after the time.
+        labels: Label and degrees of freedom of the streams in `rows`, by number of the stream.
     """
 
     streams: Sequence[Readings] = ()

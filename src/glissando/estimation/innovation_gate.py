@@ -1,4 +1,4 @@
-"""What an online estimator thinks of its readings: which to believe, and whether the model fits."""
+"""Innovation gate of an online estimator, and a monitor of whether the model fits."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ import numpy as np
 
 from glissando.model.quantiles import chi_square_exceedance
 
-_STRIKES = 10  # readings refused in a row after which a stream is believed again
-_REMEMBERED = 50  # innovations that the monitor looks back on
+_STRIKES = 10  # readings refused in a row after which a stream is accepted again
+_REMEMBERED = 50  # innovations over which the monitor averages
 _FALSE_ALARM = 1e-4
 
 
 @cache
 def _beyond(chance: float, dof: int) -> float:
-    """What a sum of so many squared standard normals exceeds with that chance."""
+    """Value that a χ² variable of `dof` degrees of freedom exceeds with this probability."""
     return float(chi_square_exceedance(chance, dof))
 
 
 class InnovationGate:
-    """Counts readings that are refused, and judges innovations.
+    """Tests innovations and counts readings that are refused.
 
-    A reading is beyond belief when its squared innovation would come by chance once in 1 / `chance`
-    times (never, if None), unless its stream has been refused for long; where a stream reads the
-    same places again and again, each of them counts by itself: one near the base always fits.
+    A reading is refused when the probability of so large a squared innovation is below `chance`
+    (never, if None), unless its stream has been refused for long. Where a stream repeatedly reads
+    the same places, each place is counted by itself, as one near the base always fits.
     """
 
     def __init__(self, chance: float | None) -> None:
         self.chance = chance
         self.dropped: dict[str, Counter[str]] = {}
         self._strikes: Counter[tuple[str, float | None]] = Counter()
-        self._places: dict[str, list[float]] = {}  # of a stream's last readings
-        self._again: dict[str, set[float]] = {}  # those of them that were read before them, too
+        self._places: dict[str, list[float]] = {}  # arclengths of a stream's last readings
+        self._again: dict[str, set[float]] = {}  # those of them that readings before had as well
         self._innovations: deque[tuple[float, int]] = deque(maxlen=_REMEMBERED)
 
     def refuse(self, name: str, reason: str, rows: np.ndarray) -> np.ndarray:
-        """Count the rows (M,) that are refused; returns those that are not."""
+        """Count the rows (M,) of a mask as refused; return the mask of the others."""
         if rows.any():
             self.dropped.setdefault(name, Counter())[reason] += int(rows.sum())
         return ~rows
@@ -45,7 +45,7 @@ class InnovationGate:
     def excess(
         self, name: str, arclength: list[float], nis: list[float], dof: int
     ) -> tuple[float, int]:
-        """By how much the worst of squared innovations is beyond belief, 1 at the limit; which."""
+        """Largest ratio of a squared innovation to its limit, and the index of that reading."""
         if self.chance is None:
             return 0.0, 0
         most = max(nis)
@@ -58,11 +58,11 @@ class InnovationGate:
         return most / limit, nis.index(most)
 
     def strike(self, name: str, arclength: float) -> None:
-        """A reading of the stream has been refused."""
+        """Count a refused reading of a stream."""
         self._strikes[self._key(name, arclength)] += 1
 
     def note(self, name: str, arclength: list[float], nis: list[float], dof: int) -> None:
-        """Remember squared innovations, before any is refused."""
+        """Record squared innovations, before any reading is refused."""
         self._innovations.extend((each, dof) for each in nis)
         self._again[name] = set(arclength).intersection(self._places.get(name, ()))
         self._places[name] = arclength
@@ -77,7 +77,7 @@ class InnovationGate:
 
     @property
     def nis(self) -> float | None:
-        """Mean squared innovation per degree of freedom of late; 1 when the model fits."""
+        """Mean recent squared innovation per degree of freedom; 1 when the model fits."""
         if not self._innovations:
             return None
         total = np.sum(np.array(self._innovations), axis=0)
@@ -85,6 +85,6 @@ class InnovationGate:
 
     @property
     def fits(self) -> bool:
-        """Whether innovations of late are no larger than chance allows."""
+        """Whether recent innovations are no larger than chance allows."""
         dof = sum(d for _, d in self._innovations)
         return self.nis is None or self.nis <= _beyond(_FALSE_ALARM, dof) / dof

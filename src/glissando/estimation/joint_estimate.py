@@ -1,4 +1,4 @@
-"""What is known of several places of the body at once: how they lie to each other."""
+"""Joint estimate of several places of the body: relative poses and distances."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ class JointEstimate(ShortRepr):
         """Pose (4, 4) of one place in the frame of another, and its covariance (6, 6).
 
         Args:
-            first: Number of the place in whose frame it is.
-            second: Number of the other place; the covariance is in its own frame.
+            first: Index of the place in whose frame the pose is.
+            second: Index of the other place, in whose frame the covariance is.
 
         Raises:
-            OutsideGridError: A number is no place's.
+            OutsideGridError: An index is not that of a place.
         """
         for number in (first, second):
             if not isinstance(number, int | np.integer) or not 0 <= number < len(self.pose):
@@ -60,8 +60,8 @@ class JointEstimate(ShortRepr):
         """Distance of two places and its standard deviation, to first order, m.
 
         Args:
-            first: Number of a place.
-            second: Number of another.
+            first: Index of a place.
+            second: Index of another place.
         """
         pose, cov = self.relative_pose(first, second)
         distance = float(np.linalg.norm(pose[:3, 3]))
@@ -74,19 +74,19 @@ def joint_estimate(
 ) -> JointEstimate:
     """States of places (M,) at a time node with their joint covariance.
 
-    Given the nodes, what lies in one interval is independent of what lies in another (10) to (12).
+    Given the nodes, states inside different intervals are independent. Source: (10) to (12).
 
     Args:
         prior: The prior of the motion.
         grid: The grid.
         state: Mean (K, N) at the nodes.
-        marginals: Covariance of the nodes' numbers, a slab for each time.
+        marginals: Covariance of the nodes' unknowns, a slab for each time.
         places: Arclengths (M,), m.
         time: A time node, s.
 
     Raises:
-        OutsideGridError: The time is no node, two places lie inside one interval, or one off the
-            grid.
+        OutsideGridError: The time is not a node, two places lie inside one interval, or one lies
+            off the grid.
     """
     k = int(np.abs(grid.time - time).argmin())
     grid.require(places, np.full(places.shape, time), "Query")

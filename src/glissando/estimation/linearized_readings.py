@@ -1,4 +1,4 @@
-"""Readings as a window linearised them: factors, innovations, and noise in their place."""
+"""Linearised readings of a window: factors, innovations, and drawn noise in their place."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
 @dataclass(frozen=True)
 class Innovations:
-    """Readings of one stream at the solution.
+    """Innovations of readings of one stream at the solution.
 
     Attributes:
         stream: The stream's label.
-        nis: Their squared normalised innovations (M,).
-        dof: Degrees of freedom of each.
-        time: When each was read (M,), s.
-        arclength: And where (M,), m.
+        nis: Squared normalised innovations (M,).
+        dof: Degrees of freedom of each innovation.
+        time: Times (M,) of the readings, s.
+        arclength: Arclengths (M,) of the readings, m.
     """
 
     stream: str
@@ -38,13 +38,13 @@ class Innovations:
 
 @dataclass(frozen=True)
 class LinearizedReadings:
-    """Linearised readings (M,), of one stream or of all that come as rows.
+    """Linearised readings (M,), of one stream or of all that are stored as rows.
 
     Attributes:
-        stream: The stream; None where they come as rows.
-        rows: Which (M,) of their stream, or of all rows.
-        batch: Their factors.
-        weights: Weights (M,) under their losses.
+        stream: The stream; None for readings stored as rows.
+        rows: Indices (M,) in the stream, or among all rows.
+        batch: Factors of the readings.
+        weights: Robust weights (M,).
     """
 
     stream: Readings | None
@@ -53,13 +53,13 @@ class LinearizedReadings:
     weights: Array
 
     def last(self, fresh: Mapping[str, int], held: HeldReadings) -> Index:
-        """Which are of each stream's last `fresh` readings."""
+        """Indices of those that are among each stream's last `fresh` readings."""
         stream = self.stream
         begin = held.rows.old if stream is None else len(stream) - fresh[stream.label]
         return np.asarray((self.rows >= begin).nonzero()[0])
 
     def innovations(self, which: Index, nis: Array, held: HeldReadings) -> Iterator[Innovations]:
-        """Squared innovations `nis` of some of them, stream by stream."""
+        """Innovations, stream by stream, from the squares `nis` of the readings `which`."""
         rows, stream = self.rows[which], self.stream
         if stream is not None:
             dof = self.batch.terms.residual.shape[1]
@@ -75,7 +75,7 @@ class LinearizedReadings:
 def sums_of_noise(
     every: Sequence[LinearizedReadings], layout: Layout, count: int, rng: np.random.Generator
 ) -> NormalEquationsBuilder:
-    """Sums of `count` nodes' readings, were nothing but noise in them."""
+    """Sums of the readings of `count` nodes with drawn noise for residuals."""
     builder = NormalEquationsBuilder.apart(layout, count)
     for readings in every:
         add_noise(builder, readings.batch, readings.weights, rng)

@@ -1,4 +1,4 @@
-"""What a rod carries and what acts on it, from a posterior whose prior knows its mechanics."""
+"""Internal wrenches of a rod and external loads on it, from a posterior of a mechanical prior."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class WrenchEstimate:
 
     Attributes:
         wrench: [force, moment] (…, 6) in N and N m, about the point of the cross-section.
-        cov: Its covariance (…, 6, 6).
-        frame: Whether its axes are those of the cross-section, "body", or of the "world".
+        cov: Covariance (…, 6, 6) of the wrench.
+        frame: Axes of the wrench: "body", those of the cross-section, or "world".
     """
 
     wrench: Array
@@ -52,10 +52,10 @@ class WrenchEstimate:
 
 
 def require_mechanics(prior: Prior, frame: str = "body") -> MechanicalPrior:
-    """The prior as a mechanical one.
+    """The prior, checked to be a mechanical one.
 
     Raises:
-        GlissandoError: It knows no loads, or the frame is neither "body" nor "world".
+        GlissandoError: The prior has no mechanics, or the frame is neither "body" nor "world".
     """
     if frame not in FRAMES:
         raise GlissandoError(f"There is no frame {frame!r}; give one of {', '.join(FRAMES)}.")
@@ -70,12 +70,12 @@ def require_mechanics(prior: Prior, frame: str = "body") -> MechanicalPrior:
 def internal_wrench(
     prior: MechanicalPrior, arclength: ArrayLike, at: StateEstimate, frame: str
 ) -> WrenchEstimate:
-    """What the part of the rod beyond cross-sections exerts on the part before. Source: (26).
+    """Internal wrenches, exerted by the part of the rod beyond on the part before. Source: (26).
 
     Args:
         prior: The prior.
-        arclength: Where, m; broadcast to the states, and just beyond a load that acts there.
-        at: States (…) there.
+        arclength: Arclengths, m, broadcast to the states; just beyond a point load that acts there.
+        at: States (…) at these arclengths.
         frame: "body" or "world".
     """
     s = np.broadcast_to(np.asarray(arclength, dtype=float), at.strain.shape[:-1])
@@ -89,9 +89,9 @@ def internal_wrench(
 
 
 def in_world(rotation: Array, wrench: Array, slope: Array) -> tuple[Array, Array]:
-    """Wrenches (…, 6) along the world's axes and their slopes (…, 6, c) by pose and strain.
+    """Wrenches (…, 6) in the world's axes and their Jacobians (…, 6, c) by pose and strain.
 
-    The first columns of `slope` are those of the pose (…, 6) whose rotation it is.
+    The first six columns of `slope` are those of the pose to which `rotation` belongs.
     """
     turned = slope.copy()
     turned[..., :3, 3:6] -= se3.hat3(wrench[..., :3])
@@ -116,19 +116,19 @@ def point_loads(
     k: Index,
     frame: str,
 ) -> WrenchEstimate:
-    """The unknown wrenches that act where the robot file expects some. Source: equation (28).
+    """External wrenches at the tip or at the prior's `points`. Source: equation (28).
 
     Args:
         prior: A mechanical prior.
         grid: The grid.
         state: Nodes (K, N).
-        spread: What takes covariance from nodes to the loads.
+        spread: Computes the covariance of loads from that of the nodes.
         arclength: Places (…), m: the tip's, or some of the prior's `points`.
         k: Time nodes (…).
         frame: "body" or "world".
 
     Raises:
-        GlissandoError: The prior knows no loads.
+        GlissandoError: The prior has no mechanics.
         OutsideGridError: No load is expected at a place.
     """
     rod = require_mechanics(prior, frame)
@@ -143,7 +143,7 @@ def point_loads(
             f"place in `points` of [prior], or ask for the internal wrench there."
         )
     load = rod.point_load(grid, state, k, n)
-    wrench, slope = load.mean, load.jacobian[:, :, ::-1]  # the node where it acts first
+    wrench, slope = load.mean, load.jacobian[:, :, ::-1]  # the node of the load first
     rotation, left = state.pose[k, n, :3, :3], load.cov
     slope = slope.reshape(n.size, 6, -1)
     if frame == "world":

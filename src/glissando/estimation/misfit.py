@@ -1,4 +1,4 @@
-"""What readings say against an estimate that used them."""
+"""Contradictions between an estimate and the readings that it used."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import Solution
 
-_FAR = 3.0  # lengths of the robot: readings beyond are said to be why equations break down
-_CLOSE = 0.02  # of the median step: time nodes as close as this may be why equations break down
-_MISFIT = 5.0  # standard deviations by which a reading differs from all estimates but a false one
-_NAMED = 3  # readings or streams that are named
-_CHANCE, _RARE = 1e-3, 1e-6  # that a residual is beyond what counts as far, and as very far
-_SHARE = 0.1  # of a stream that may be far off
-_SURE = 1e-4  # chance of as many that are far off, below which it is none
-_UNLIKELY, _EXCESS = 1e-4, 6.0  # chance of a cost, and how many times what is expected, to doubt
-_ALIKE = 0.5  # cosine of residuals, side by side, above which they are no outliers of their own
+_FAR = 3.0  # lengths of the robot: readings farther away explain a breakdown of the equations
+_CLOSE = 0.02  # share of the median step: time nodes this close explain a breakdown
+_MISFIT = 5.0  # standard deviations of a residual beyond which a reading is named
+_NAMED = 3  # most readings or streams that are named
+_CHANCE, _RARE = 1e-3, 1e-6  # probabilities of residuals that are far off, and very far off
+_SHARE = 0.1  # share of a stream that may be far off
+_SURE = 1e-4  # probability of so many that are far off, below which it is not chance
+_UNLIKELY, _EXCESS = 1e-4, 6.0  # probability of a cost, and ratio to its expectation, for doubt
+_ALIKE = 0.5  # cosine of neighbouring residuals above which they are not separate outliers
 
 
 def worst_readings(solution: Solution) -> str:
-    """A sentence on the worst reading of each stream that is beyond what chance allows, or none."""
+    """Sentence on the worst reading of each stream, if beyond chance; else an empty string."""
     misfits = []
     for stream, terms in _terms(solution):
         squared = np.sum(terms.whiten(terms.residual) ** 2, axis=1)
@@ -47,22 +47,22 @@ def implausible(
 ) -> NDArray[np.bool_]:
     """Whether costs of prior and readings are more than chance allows, and far above expectation.
 
-    Twice the least cost is a χ² of as many degrees of freedom as readings have numbers. In a
-    minimum that is not the lowest the prior pays what readings do not. Of a prior that knows
-    mechanics it tells nothing: a touch costs as much, for which `scan_contacts` looks.
+    Twice the least cost is a χ² of as many degrees of freedom as there are scalar readings. In a
+    local minimum the cost of the prior is large even if that of the readings is not. The result is
+    False for a mechanical prior, as a contact, which `scan_contacts` detects, costs as much.
 
     Args:
         prior: The prior.
         cost: Half the sum of all squares (…).
-        count: How many numbers were read (…).
-        excess: How many times what is expected is too much.
+        count: Number of scalar readings (…).
+        excess: Ratio to the expected cost that is too large.
     """
     bound = np.maximum(chdtri(count, _UNLIKELY), excess * np.asarray(count))
     return np.asarray(2.0 * np.asarray(cost) > bound) & (not isinstance(prior, MechanicalPrior))
 
 
 def is_implausible(prior: Prior, solution: Solution, excess: float = _EXCESS) -> bool:
-    """Whether an estimate's cost is `implausible`, but for readings that a loss forgives."""
+    """Whether an estimate's cost is `implausible`, without readings that a loss downweights."""
     cost, count = solution.cost, 0
     for _, terms in _terms(solution):
         counted = terms.robust_weights() > 0.5
@@ -74,11 +74,11 @@ def is_implausible(prior: Prior, solution: Solution, excess: float = _EXCESS) ->
 
 
 def misfit_sentence(prior: Prior, solution: Solution) -> str:
-    """A sentence on streams that mostly contradict the estimate, or on its cost, or none.
+    """Sentence on streams that contradict the estimate, or on its cost; else an empty string.
 
-    Readings follow an estimate more closely than they scatter about the truth, so where many do
-    not, prior or noise exclude what the robot did, and covariances are too small. An impact is none
-    of that, nor are outliers that a robust loss forgives: those differ from their neighbours.
+    Readings are closer to an estimate than to the truth, so where many are not, prior or noise
+    exclude what the robot did, and covariances are too small. Impacts do not count, nor do outliers
+    that a robust loss downweights, which differ from their neighbours.
     """
     far = [
         (share, f"{100.0 * share:.0f} % of {stream.label}")
@@ -105,9 +105,9 @@ def misfit_sentence(prior: Prior, solution: Solution) -> str:
 
 
 def _contradicting(terms: Residuals) -> float:
-    """The share of residuals (M,) that are farther off than so many can be by chance.
+    """Share of residuals (M,) that are far off, if so many are not by chance; else 0.
 
-    Of fewer than ten one that is very far off is enough.
+    Of fewer than ten one that is very far off suffices.
     """
     for chance in (_CHANCE, _RARE):
         off = _far_off(terms, chance)
@@ -117,7 +117,7 @@ def _contradicting(terms: Residuals) -> float:
 
 
 def _far_off(terms: Residuals, chance: float) -> Mask:
-    """Which residuals (M,) are beyond a chance; with a loss, and like one beside it."""
+    """Mask (M,) of residuals less likely than `chance`; with a loss, only if like a neighbour."""
     white = terms.whiten(terms.residual)
     size = np.linalg.norm(white, axis=1)
     far: Mask = size**2 > chdtri(white.shape[1], chance)
@@ -131,10 +131,10 @@ def _far_off(terms: Residuals, chance: float) -> Mask:
 def breakdown(
     error: Exception, grid: Grid, prior: Prior, readings: Sequence[Readings]
 ) -> Exception:
-    """What to raise where equations break down: that readings are far off, or what is undetermined.
+    """Error to raise where equations break down: readings are far off, or a state undetermined.
 
     Args:
-        error: What the solver raised.
+        error: Error that the solver raised.
         grid: The nodes.
         prior: The prior.
         readings: The readings that were to be explained.
@@ -150,7 +150,7 @@ def breakdown(
 
 
 def _too_close(grid: Grid) -> OutsideGridError | None:
-    """What to say where two time nodes are so close that information loses its digits."""
+    """Error for two time nodes so close that information loses its digits, or None."""
     steps = np.diff(grid.time)
     if not steps.size or steps.min() > _CLOSE * np.median(steps):
         return None
@@ -164,7 +164,7 @@ def _too_close(grid: Grid) -> OutsideGridError | None:
 def unreachable_readings(
     grid: Grid, prior: Prior, readings: Sequence[Readings]
 ) -> UnreachableError | None:
-    """What to say where equations break down since readings are far beyond the robot's reach."""
+    """Error for readings far beyond the robot's reach, or None if there are none."""
     base = prior.rest_state(Grid(grid.arclength, grid.time[:1])).pose[0, 0, :3, 3]
     farthest, where = _FAR * float(grid.arclength[-1]), ""
     for r in readings:
@@ -183,6 +183,6 @@ def unreachable_readings(
 
 
 def _terms(solution: Solution) -> Iterator[tuple[Readings, Residuals]]:
-    """Each stream that has readings, and its terms."""
+    """Each stream that has readings, and its residuals."""
     every = solution.equations.reading_terms()
     yield from ((r, own) for r, own in zip(solution.located.streams, every, strict=True) if len(r))

@@ -1,4 +1,4 @@
-"""What an online estimate shows to be wrong with what it is given, said once."""
+"""Monitor of an online estimate that warns of wrong readings, once for each cause."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from glissando.model.priors.prior import Prior
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 
-_RESTARTS = 10  # of a window, after which it is asked whether most times were such
-_UNIT = 20.0  # lengths of the robot: farther along it is another unit
-_LOST, _MOST = 20, 0.9  # readings of a stream, and share of them, that are out of time by mistake
-_BEGINNING = 6  # updates: what came before the first lies before the window
-_REACH, _AT_BASE = 1.4, 0.1  # of arclength and of length: farther from the base no robot stretches
+_RESTARTS = 10  # restarts of a window, from which on their share of the updates is checked
+_UNIT = 20.0  # lengths of the robot: larger arclengths are in another unit
+_LOST, _MOST = 20, 0.9  # least number and share of a stream's readings out of time to warn of
+_BEGINNING = 6  # updates not checked: readings before the first lie before the window
+_REACH, _AT_BASE = 1.4, 0.1  # of arclength and of length: no robot stretches farther from the base
 
 
 class OnlineMonitor:
-    """Warns, once each, of what an online estimate shows to be wrong with its readings.
+    """Warns, once for each cause, of readings that an online estimate shows to be wrong.
 
     Attributes:
         beyond: Whether the newest state is beyond the robot's reach.
@@ -40,7 +40,7 @@ class OnlineMonitor:
         self._given, self._untimely = Counter[str](), set[str]()
 
     def check_places(self, readings: Readings) -> None:
-        """Look at where readings are said to be, before those off the robot are left out."""
+        """Check the arclengths of readings, before those off the robot are dropped."""
         self._given[readings.label] += len(readings)
         place = readings.arclength
         if not len(place) or place[0] <= self._farthest or readings.label in self._elsewhere:
@@ -52,7 +52,7 @@ class OnlineMonitor:
         )
 
     def check_times(self, dropped: Mapping[str, Mapping[str, int]]) -> None:
-        """Look at how many readings of each stream were out of time, by what was `dropped`."""
+        """Check how many readings of each stream were `dropped` as late or ahead."""
         if self._advances < _BEGINNING:
             return
         for label, counts in dropped.items():
@@ -68,7 +68,7 @@ class OnlineMonitor:
             )
 
     def check_state(self, newest: State, restarts: int) -> None:
-        """Look at the newest nodes (N,) and at how often a window began anew until now."""
+        """Check the newest nodes (N,) and the number of restarts of the window."""
         self._advances += 1
         restarting = restarts >= _RESTARTS and 2 * restarts >= self._advances
         if restarting and not self._forgets:

@@ -1,9 +1,9 @@
 """Outliers of a recording: readings that all others refute.
 
-A spike beside its own stream's neighbours is left out of the first solve, which it could wreck.
-Then each suspicious reading is judged by its innovation against all others, whether it was used or
-not. How large innovations of a stream may be is measured on the stream itself: a model that fits a
-whole stream badly makes none of its readings an outlier. Source: equation (25).
+A spike among its neighbours in a stream is left out of the first solution, which it could spoil.
+Then each suspicious reading is tested by its innovation against all others, whether it was used or
+not. The scale of a stream's innovations is estimated from the stream: where a model fits a whole
+stream badly, none of its readings is an outlier. Source: equation (25).
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from glissando.model.sensors.readings import Readings
 from glissando.solver.gauss_newton import Solution
 
 CHANCE = 1e-9
-"""By which the innovation of a sound reading would be refused."""
+"""Probability with which a sound reading is refused by its innovation."""
 
-_NEIGHBOURS = 3  # on either side
+_NEIGHBOURS = 3  # number on either side
 _CHUNK = 4096  # readings whose neighbours are compared at a time, for their memory
-_SPIKE = 10.0  # spreads of its neighbours, and standard deviations, at which a reading is a spike
-_LIKELY = 1e-6  # chance of a residual below which a reading is judged
-_WORST = 0.2  # of a stream's largest squared innovation: what is refused together
-_STIFF = 1e-3  # least share of its variance that a reading leaves to the others
+_SPIKE = 10.0  # times spread of the neighbours plus standard deviation, beyond which it is a spike
+_LIKELY = 1e-6  # probability of a residual below which a reading is tested
+_WORST = 0.2  # share of a stream's largest squared innovation above which readings are refused
+_STIFF = 1e-3  # lower bound on S of `ReadingFit.squared`
 
 Mask = NDArray[np.bool_]
 
 
 def spikes(readings: Readings) -> Mask:
-    """Readings (M,) far from their neighbours in time; of a tracker, from the line these are on."""
+    """Mask (M,) of readings far from neighbours in time; of a tracker, from a line through them."""
     count, values = len(readings), readings.values
     if count <= 2 * _NEIGHBOURS or not values.size or values.shape[1:] == (3, 3):
         return np.zeros(count, dtype=bool)
@@ -51,7 +51,7 @@ def spikes(readings: Readings) -> Mask:
         noise = variance[:, : flat.shape[1]].sum(axis=1)
         return _stray(readings.time, flat, noise, level=not readings.tracker)
     out = _stray(readings.time, values[:, :3, 3], variance[:, :3].sum(axis=1))
-    if variance.shape[1] == 6:  # another sensor does not show its roll
+    if variance.shape[1] == 6:  # other sensors do not measure roll
         turned = values[:, :3, :3].reshape(count, 9) / np.sqrt(
             2.0
         )  # so that its length is an angle
@@ -60,7 +60,7 @@ def spikes(readings: Readings) -> Mask:
 
 
 def _stray(time: Array, values: Array, variance: Array, *, level: bool = False) -> Mask:
-    """Which values (M, n) with noise of a total variance (M,) are far off a line by neighbours."""
+    """Mask of values (M, n), of total noise variance (M,), far off a line through neighbours."""
     count, wide = len(time), 2 * _NEIGHBOURS
     order = np.argsort(time, kind="stable")
     time, values = time[order], values[order]
@@ -78,16 +78,16 @@ def _stray(time: Array, values: Array, variance: Array, *, level: bool = False) 
 
 
 def _off_line(when: Array, around: Array, own: Array, *, level: bool) -> tuple[Array, Array]:
-    """How far values (M, n) are off a line by their neighbours (M, 6, n), and how far these are.
+    """Distances of values (M, n) from a line through their neighbours, and spread of these.
 
-    The line is `level`, or has the median of slopes between any two of them (Theil and Sen). It is
-    less sure beyond them.
+    The line is `level`, or has the median of the slopes between any two neighbours (Theil and Sen).
+    The spread grows with the uncertainty of the slope where the line is extrapolated.
 
     Args:
-        when: Times (M, 6) of the neighbours from that of the value.
-        around: Their values.
+        when: Times (M, 6) of the neighbours relative to that of the value.
+        around: Values (M, 6, n) of the neighbours.
         own: The values.
-        level: Whether the line has no slope.
+        level: Whether the line has zero slope.
     """
     unsure = np.zeros(len(own))
     if not level:
@@ -104,29 +104,28 @@ def _off_line(when: Array, around: Array, own: Array, *, level: bool) -> tuple[A
 
 
 def distinct_labels(readings: Sequence[Readings]) -> list[str]:
-    """Labels of streams, told apart: of several that are alike the second is "label 2"."""
+    """Labels of streams, made distinct: the second of several equal ones is "label 2"."""
     labels = [r.label for r in readings]
     counts = [labels[: i + 1].count(label) for i, label in enumerate(labels)]
     return [label if n == 1 else f"{label} {n}" for label, n in zip(labels, counts, strict=True)]
 
 
 def used_at_first(readings: Readings, gate: float | None) -> Mask:
-    """Which readings (M,) the first solve uses: no spikes, unless nothing is to be left out."""
+    """Mask (M,) of readings for the first solution: no spikes, if there is a gate and no loss."""
     if gate is None or readings.loss is not None:
         return np.ones(len(readings), dtype=bool)
     return ~spikes(readings)
 
 
 def under_touches(prior: Prior, arclength: Array, within: float = np.inf) -> Prior:
-    """The prior that judges readings: if it knows mechanics, one of a robot that may be touched.
+    """Prior by which readings are tested: a mechanical prior with contact forces added, or `prior`.
 
-    Else all readings of a robot that something pushes aside for a while are outliers of a robot
-    that nothing touches.
+    Without these forces all readings of a robot that is pushed aside for a while would be outliers.
 
     Args:
         prior: The prior.
         arclength: Nodes (N,), m.
-        within: How fast touches come, s, where the prior's loads come more slowly.
+        within: Time scale of contacts, s, if that of the prior's loads is longer.
     """
     if not isinstance(prior, MechanicalPrior):
         return prior
@@ -145,16 +144,16 @@ def judged(
     used: Sequence[Mask],
     gate: float,
 ) -> list[Mask]:
-    """Which readings of each stream the others do not refute.
+    """Masks of the readings of each stream that the others do not refute.
 
     Readings that depend on more than one state are kept.
 
     Args:
         posterior: The estimate.
-        solution: Where its iteration ended.
+        solution: Solution from which the estimate was computed.
         readings: All readings of each stream.
-        used: Which of them (M,) it used.
-        gate: Chance of an innovation below which a reading is refuted.
+        used: Masks (M,) of those that the estimate used.
+        gate: Probability of an innovation below which a reading is refuted.
     """
     streams, out = iter(solution.equations.reading_terms()), []
     for stream, rows in zip(readings, used, strict=True):
@@ -172,7 +171,7 @@ def judged(
 
 
 def _suspects(terms: Residuals, sound: Mask) -> Mask:
-    """Readings (M,) with residuals that are unlikely for their stream, of those that were used."""
+    """Mask (M,) of used readings whose residuals are unlikely for their stream."""
     out = np.zeros(sound.size, dtype=bool)
     out[sound] = _size(terms) > chi_square_exceedance(_LIKELY, terms.residual.shape[1]) * _scale_of(
         terms
@@ -181,7 +180,7 @@ def _suspects(terms: Residuals, sound: Mask) -> Mask:
 
 
 def unlikely(terms: Residuals) -> Mask:
-    """Residuals (M,) that a reading of noise as stated has once in a million times."""
+    """Mask (M,) of residuals that the stated noise exceeds once in a million readings."""
     return _size(terms) > chi_square_exceedance(_LIKELY, terms.residual.shape[1])
 
 
@@ -191,7 +190,7 @@ def _size(terms: Residuals) -> Array:
 
 
 def _scale_of(terms: Residuals) -> float:
-    """By how much a stream's squared residuals are larger than its noise says, 1 or more."""
+    """Ratio of a stream's squared residuals to those of its stated noise, 1 or more."""
     if not len(terms.residual):
         return 1.0
     return max(
@@ -200,18 +199,18 @@ def _scale_of(terms: Residuals) -> float:
 
 
 def _refuted(posterior: Posterior, readings: Readings, used: Mask, limit: float) -> Mask:
-    """Which readings (M,) all others refute: squared innovations beyond a limit.
+    """Mask (M,) of readings that all others refute: squared innovations beyond a limit.
 
-    Of those that were used only the worst, as a wrong one makes its neighbours look wrong.
+    Of those that were used only the worst count, as an outlier makes its neighbours seem wrong.
 
     Args:
         posterior: The estimate.
         readings: Readings of one stream.
-        used: Which of them were used for the estimate.
-        limit: Largest squared innovation that is believed.
+        used: Mask (M,) of those that the estimate used.
+        limit: Largest squared innovation that is accepted.
     """
     try:
         squared = fit_of(posterior, readings).squared(used, _STIFF)
-    except np.linalg.LinAlgError:  # of a state that is absurd, which judges nobody
+    except np.linalg.LinAlgError:  # the state is absurd and refutes no reading
         return np.zeros(len(readings), dtype=bool)
     return np.asarray(squared > np.where(used, max(limit, _WORST * squared.max()), limit))

@@ -1,15 +1,15 @@
-"""Where readings were taken along the robot, by evidence: the states count with all they may be.
+"""Arclength offsets of sensors at the mode of their evidence, with the states marginalised.
 
-The joint mode of states and an unknown offset along the robot is not the offset's own mode.
-Readings that lie farther out explain the same displacement with less bending, so the joint cost
-falls towards the tip with every independent shape, while the offset's variance shrinks. What
-balances this is ½ log|A| of the system, which answers to the offset and which Gauss–Newton steps
-leave out. Its slope enters as a shift of what is expected of the offset, found again until it is
-that of where the iteration ends. Source: equation (22).
+The joint mode of states and an unknown arclength offset differs from the mode of the offset alone.
+Readings nearer to the tip explain the same displacement with less bending, so the joint cost
+falls towards the tip with every independent shape, while the offset's variance shrinks. It is
+balanced by ½ log|A| of the system, which depends on the offset and which Gauss–Newton steps omit.
+Its derivative enters as a shift of the offset's prior mean, computed again until it is that at the
+solution. Source: equation (22).
 
-A prior broader than what the robot does would push inwards as strongly, since readings are smaller
-than it expects. So the slope counts as much as the prior's cost is of what is expected of it, as if
-the scale of the prior were unknown: the offset is then not found from how large motions are.
+A prior broader than the robot's motion would shift the offset towards the base as strongly, since
+readings are smaller than it expects. So the derivative is scaled by the ratio of the prior's cost
+to its expectation, as if the prior's scale were unknown: the size of motions then has no influence.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from glissando.solver.block_tridiagonal import Cholesky, factor
 from glissando.solver.gauss_newton import Solution
 from glissando.solver.linearize import linearize
 
-_ROUNDS = 6  # of finding slopes and solving again
-_DRAWS = 2  # of noise, for what readings tell of the states
-_NUDGE = 0.2  # standard deviations of an offset, for differences
-_SETTLED = 0.1  # standard deviations by which the last shift still moves an offset
+_ROUNDS = 6  # of computing derivatives and solving again
+_DRAWS = 2  # of noise, for the number of directions that readings determine
+_NUDGE = 0.2  # standard deviations of an offset: step of the finite differences
+_SETTLED = 0.1  # standard deviations of an offset: largest last change when it has converged
 
 Solve = Callable[[Sequence[SensorParameter], Solution], Solution]
-"""The solution with other sensor parameters, from where another ended."""
+"""Solves with other sensor parameters, started from a solution."""
 
 
 def by_evidence(
     prior: Prior, solution: Solution, given: Sequence[SensorParameter], solve: Solve
 ) -> Solution:
-    """A solution in which constant offsets along the robot have the mode of their evidence.
+    """Solution in which constant arclength offsets are at the mode of their evidence.
 
     Args:
         prior: The prior.
-        solution: Where the iteration ended.
-        given: The sensor parameters as they are stated.
-        solve: Solves again.
+        solution: Solution at the joint mode of states and parameters.
+        given: Sensor parameters with their stated priors.
+        solve: Solves with other priors of the parameters.
     """
     process = solution.located.parameters.process
     columns = _offsets(process)
@@ -68,7 +68,7 @@ def by_evidence(
 
 
 def _offsets(process: EstimatedParameters) -> list[int]:
-    """Which numbers of a time node's parameters are constant offsets along the robot."""
+    """Columns of a time node's parameters that are constant arclength offsets."""
     pairs = zip(process.each, process.columns, strict=True)
     return [
         column
@@ -83,7 +83,7 @@ def _offsets(process: EstimatedParameters) -> list[int]:
 def _slopes(
     prior: Prior, solution: Solution, columns: list[int], cholesky: Cholesky
 ) -> tuple[Array, Array]:
-    """Slopes (P,) of minus the log evidence by offsets, states following; the offsets' std (P,)."""
+    """Derivatives (P,) of −log evidence by offsets, states at their best; offsets' std (P,)."""
     at, paths = solution.equations, []
     rows = [at.state.numbers + column for column in columns]
     for row in rows:
@@ -100,9 +100,9 @@ def _slopes(
 
 
 def _activity(prior: Prior, solution: Solution, cholesky: Cholesky) -> float:
-    """How much of what the prior expects the states do: about 1 where it is right.
+    """Ratio of the prior's cost to its expectation: about 1 where the prior is right.
 
-    Twice the prior's cost, over the number of directions in the states of which readings tell.
+    It is twice the cost over the number of directions of the states that readings determine.
     """
     at = solution.equations
     done = 2.0 * sum(terms.cost(terms.residual) for terms in at.prior_terms())
@@ -114,7 +114,7 @@ def _activity(prior: Prior, solution: Solution, cholesky: Cholesky) -> float:
 
 
 def _minus_evidence(prior: Prior, solution: Solution, step: Array) -> float:
-    """Minus the log evidence, up to a constant, a step (K, D) away from a solution."""
+    """Negative log evidence, up to a constant, a step (K, D) away from a solution."""
     of_nodes, of_parameters = solution.equations.split(step)
     state, located = solution.state.retract(of_nodes), solution.located.moved(of_parameters)
     stepped = linearize(prior, located, state, state)
@@ -122,7 +122,7 @@ def _minus_evidence(prior: Prior, solution: Solution, step: Array) -> float:
 
 
 def _as_stated(solution: Solution, process: EstimatedParameters) -> Solution:
-    """The solution with sensor parameters that are expected where they are stated."""
+    """The solution with the stated prior means of sensor parameters, its cost corrected."""
     parameters = replace(solution.located.parameters, process=process)
     shifted, values = solution.located.parameters.process.mean, parameters.values[0]
     cost = np.sum(((values - process.mean) ** 2 - (values - shifted) ** 2) / process.std**2)

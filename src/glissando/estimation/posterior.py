@@ -1,4 +1,4 @@
-"""What is known after an estimate: mean and covariance at any arclength and time."""
+"""Posterior of an estimate: mean and covariance at any arclength and time."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ from glissando.solver.outcome import Outcome
 class Posterior(ShortRepr):
     """Gaussian posterior over the whole motion, continuous in arclength and time.
 
-    `state` is the mean at the nodes, `system` the information matrix of the nodes in time order,
-    `marginals` the blocks of its inverse that any query needs, in the axes of `state`, `solve` how
-    it was reached, `sensor_parameters` of the sensors with their estimated values (K, size) at the
-    time nodes, `linearized` the states at which `system` was linearised and weighted, which a file
-    has for a mechanical prior, and where the last step rolled the body.
+    `state` is the mean at the nodes; `system` the information matrix of the nodes in time order;
+    `marginals` the blocks of its inverse that queries need, in the axes of `state`; `solve` the
+    solver's report; `sensor_parameters` those estimated, with values (K, size) at the time nodes;
+    `linearized` the states at which `system` was linearised and weighted, which a file has for a
+    mechanical prior and where the last step rolled the body.
     """
 
     prior: Prior
@@ -55,9 +55,9 @@ class Posterior(ShortRepr):
 
     @cached_property
     def marginals_of_known_delays(self) -> Marginals:
-        """The marginals as if delays were known, which an estimate spreads motions by.
+        """The marginals as if delays were known, by which readings that were used are judged.
 
-        Readings say nothing of a delay that motion dates, so what they explain is without it.
+        Delays follow from the motion of other streams (see `delays`), not from the least residuals.
         """
         process = EstimatedParameters(
             self.grid, [parameter for parameter, _ in self.sensor_parameters]
@@ -75,8 +75,8 @@ class Posterior(ShortRepr):
     def log_evidence(self) -> float:
         """Laplace's log marginal likelihood of the readings, up to a constant of these readings.
 
-        It compares robot files on the same readings and nodes. A window, which has let readings go,
-        has none: no number. Source: equation (22).
+        It compares robot files on the same readings and nodes. It is NaN for a window, whose older
+        readings are marginalised. Source: equation (22).
 
         Raises:
             UnobservableError: The prior alone leaves states undetermined.
@@ -88,7 +88,7 @@ class Posterior(ShortRepr):
 
     @property
     def linearization_point(self) -> State:
-        """The nodes (K, N) from which `system` knows steps; the mean where that is not known."""
+        """Nodes (K, N) at which `system` was linearised; the mean if they are not stored."""
         return self.state if self.linearized is None else self.linearized[0]
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
@@ -103,15 +103,15 @@ class Posterior(ShortRepr):
         return partial(spread, self.grid, self.marginals)
 
     def joint(self, arclength: ArrayLike, time: float) -> JointEstimate:
-        """Several places at one time with their joint covariance, such as of the tip to the middle.
+        """States at several places at one time with joint covariance, as of the tip and the middle.
 
         Args:
             arclength: Places (M,), m, at most one between any two arclength nodes.
             time: A time node, s.
 
         Raises:
-            OutsideGridError: The time is no node, or two places lie inside one interval or off the
-                grid.
+            OutsideGridError: The time is not a node, two places lie inside one interval, or one
+                lies off the grid.
         """
         places, times = points_of(arclength, time)
         if places.ndim != 1 or not places.size or np.size(time) != 1:
@@ -123,30 +123,30 @@ class Posterior(ShortRepr):
     def wrench(
         self, arclength: ArrayLike, time: ArrayLike, *, frame: str = "body"
     ) -> WrenchEstimate:
-        """Internal wrench at points: what the part beyond exerts on the part before it.
+        """Internal wrench at points, exerted by the part beyond on the part before it.
 
         Args:
             arclength: Metres; broadcast with `time`.
             time: Seconds.
-            frame: Axes of the cross-section, "body", or of the "world".
+            frame: Axes of the wrench: "body", those of the cross-section, or "world".
 
         Raises:
-            GlissandoError: The robot's prior knows no loads.
+            GlissandoError: The robot's prior has no mechanics.
             OutsideGridError: A point is off the grid.
         """
         prior = require_mechanics(self.prior, frame)
         return internal_wrench(prior, arclength, self.at(arclength, time), frame)
 
     def load(self, arclength: ArrayLike, time: ArrayLike, *, frame: str = "body") -> WrenchEstimate:
-        """The unknown wrench that acts at the tip or at one of the prior's `points`.
+        """External wrench on the robot at the tip or at one of the prior's `points`.
 
         Args:
             arclength: The places, metres; broadcast with `time`.
-            time: Seconds; the answer is that of the nearest time node.
-            frame: Axes of the cross-section, "body", or of the "world".
+            time: Seconds; the nearest time node is used.
+            frame: Axes of the wrench: "body", those of the cross-section, or "world".
 
         Raises:
-            GlissandoError: The robot's prior knows no loads.
+            GlissandoError: The robot's prior has no mechanics.
             OutsideGridError: A point is off the grid, or no load is expected there.
         """
         s, t = points_of(arclength, time)
@@ -155,9 +155,10 @@ class Posterior(ShortRepr):
         return point_loads(self.prior, self.grid, self.state, self._spread, s, k, frame)
 
     def states_on(self, grid: Grid) -> State:
-        """Its mean at the nodes (K, N) of another grid, a start for another estimate.
+        """Mean at the nodes (K, N) of another grid, as a start for another estimate.
 
-        Beyond its ends the nearest time stands. A strain rate counts as zero between its nodes.
+        Times beyond the ends take the state at the nearer end. Strain rates are zero unless the
+        grids have the same nodes.
 
         Raises:
             OutsideGridError: The other grid is of a longer robot.
@@ -173,12 +174,12 @@ class Posterior(ShortRepr):
     def sample(self, rng: np.random.Generator, size: int = 1) -> State:
         """Joint draws of the whole motion at the nodes, leading shape (size, K, N).
 
-        Draws of the Gaussian belief: each pose moves straight on. Where poses are known to a few
-        tenths of a radian or worse, nodes of a draw may lie farther apart than the body reaches.
+        Draws are Gaussian in the tangent space of each pose. Where rotations are uncertain by some
+        tenths of a radian, nodes of a draw may lie farther apart than the body's length allows.
 
         Args:
             rng: A generator, such as `numpy.random.default_rng(0)`.
-            size: How many.
+            size: Number of draws.
         """
         if not isinstance(rng, np.random.Generator):
             raise GlissandoError(f"sample: rng is {rng!r}; give numpy.random.default_rng(0).")
@@ -197,10 +198,10 @@ class Posterior(ShortRepr):
         return np.sqrt(variance[..., POSE])
 
     def parameter(self, name: str) -> tuple[Array, Array]:
-        """An estimated sensor parameter.
+        """Values and covariances of an estimated sensor parameter.
 
         Args:
-            name: Its name.
+            name: Name of the parameter.
 
         Returns:
             Values (K, size) at the time nodes, and their covariances (K, size, size).

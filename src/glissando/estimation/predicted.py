@@ -1,4 +1,4 @@
-"""What a window says ahead of its readings, where belief becomes too wide to be linear."""
+"""Prediction of a window ahead of its readings, where covariances become too large to be linear."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from glissando.geometry.se3 import Array
 
 
 def predicted(window: SlidingWindow, place: Array, time: Array, since: float) -> StateEstimate:
-    """The state at places and times (…); what its last node says holds from then on.
+    """States at places and times (…); after the last node its state remains valid.
 
-    Later than all that was read the spread of shapes stands for a belief that is wide, each time's
-    that of the next node.
+    After the newest reading, covariances that are too large to be linear are replaced by the spread
+    of shapes at the next node.
 
     Args:
-        window: It, with nodes ahead.
-        place: Metres.
-        time: Seconds, not before its first node.
+        window: Sliding window whose last nodes lie ahead of the readings.
+        place: Arclengths, m.
+        time: Times, s, not before the window's first node.
         since: Time of the newest node with a reading, s.
     """
     posterior, arclength = window.posterior(), window.arclength

@@ -1,4 +1,4 @@
-"""Readings on their way into an online estimator: those that wait, and those it holds."""
+"""Buffer of an online estimator: readings that wait, and readings in the window."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from glissando.model.sensors.compiled_readings import CompiledReadings, ReadingR
 from glissando.model.sensors.readings import Readings
 from glissando.model.tendons.channel import ends_of
 
-_AHEAD = 2.0  # s: stamps further ahead of the time now are a clock's fault
-_FEW = 100_000  # pairs of stamps that are compared each with each
-_SPARE = 64  # readings and parts of streams that are held before old ones are let go of
+_AHEAD = 2.0  # s: time stamps further ahead of the present are errors of a clock
+_FEW = 100_000  # most pairs of time stamps that are compared directly
+_SPARE = 64  # readings and parts of streams that are held before old ones are discarded
 
 
 class ReadingBuffer:
-    """Readings by stream on a robot of some `length`; what is refused is counted by the `gate`.
+    """Buffers readings by stream on a robot of some `length`; the `gate` counts refused ones.
 
-    Those in the window are held in order of arrival; others wait until time reaches them. Streams
-    that the window `takes_as_row` are held as rows as well.
+    Readings in the window are held in order of arrival; others wait until time reaches them.
+    Readings that the window `takes_as_row` are stored as rows as well.
     """
 
     def __init__(
@@ -38,16 +38,16 @@ class ReadingBuffer:
         self._measured: set[str] = set()
         self._rows, self._takes_as_row = ReadingRows(), takes_as_row
         self._numbers: dict[str, int] = {}
-        self._labels: list[tuple[str, int]] = []  # and rows of a reading, by number
-        self._single: set[str] = set()  # streams that do not come as rows
+        self._labels: list[tuple[str, int]] = []  # label and residuals of a reading, by number
+        self._single: set[str] = set()  # streams that are not stored as rows
         self._length, self._gate, self._many = length, gate, _SPARE
 
     def take(self, readings: Readings, oldest: float) -> None:
         """Let readings of one stream wait; `oldest` is the time of the oldest node.
 
-        Those off the robot, before that node, or there already are refused, and those of a tracker
-        that stopped measuring: no measurement has all digits of the one before. Raises SensorError
-        when the stream changed its kind.
+        Readings off the robot, before that node, or repeated are refused, and those of a tracker
+        that stopped measuring, as no measurement repeats all digits of the one before. Raises
+        SensorError if the stream had readings of another class before.
         """
         name, time, place = readings.label, readings.time, readings.arclength
         before = self._waiting.get(name)
@@ -84,10 +84,10 @@ class ReadingBuffer:
             self._newest[name] = max(last, newest)
 
     def _repeated(self, readings: Readings) -> np.ndarray:
-        """Rows that have a stamp of before; at one moment a stream may read several places."""
+        """Mask of rows with the time and place of an earlier row; one time may have many places."""
         time, place = readings.time, readings.arclength
         again = np.zeros(len(readings), dtype=bool)
-        order = np.lexsort((place, time))  # what comes twice stays in order
+        order = np.lexsort((place, time))  # repeated rows stay in order
         same = (np.diff(time[order]) == 0.0) & (np.diff(place[order]) == 0.0)
         again[order[1:]] = same
         if time.min() > self._newest.get(readings.label, -np.inf):
@@ -103,10 +103,10 @@ class ReadingBuffer:
         return again
 
     def _frozen(self, readings: Readings) -> np.ndarray | None:
-        """Rows whose values are those of the row before; none of a stream that never changed."""
+        """Mask of rows with the values of the row before; None if the stream never changed."""
         label, values, place = readings.label, readings.values, readings.arclength
         time, before = readings.time, self._last.get(label)
-        several = len(time) > 1 and time[-2] == time[-1]  # places, at one moment
+        several = len(time) > 1 and time[-2] == time[-1]  # several places at one time
         last = time == time[-1] if several else slice(-1, None)
         self._last[label] = values[last], place[last]
         count = 0 if before is None else len(before[0])
@@ -130,12 +130,12 @@ class ReadingBuffer:
         return again[count:]
 
     def due(self, until: float) -> np.ndarray:
-        """Times of readings that wait up to a time, in order."""
+        """Times of waiting readings up to a time, in order."""
         waiting = [r.time[r.time <= until] for r in self._waiting.values()]
         return np.sort(np.concatenate([np.zeros(0), *waiting]))
 
     def refuse_ahead(self, now: float) -> None:
-        """Refuse readings that wait with stamps absurdly far ahead of the time now."""
+        """Refuse waiting readings whose time stamps are too far ahead of the present."""
         if max(self._newest.values(), default=now) <= now + _AHEAD:
             return
         for name, waiting in list(self._waiting.items()):
@@ -151,9 +151,9 @@ class ReadingBuffer:
                 self._newest[name] = float(max(left, default=-np.inf))
 
     def arrive(self, oldest: float, until: float) -> tuple[Counter[str], float]:
-        """Hold what waits up to a time; how many rows of each stream are new, and their earliest.
+        """Hold waiting readings up to a time; number of new rows by stream, and the earliest time.
 
-        New rows are the last that are held of a stream.
+        New rows are the last of the rows held of a stream.
         """
         fresh: Counter[str] = Counter()
         earliest, self._rows.old = np.inf, self._rows.count
@@ -176,7 +176,7 @@ class ReadingBuffer:
         return fresh, earliest
 
     def _hold(self, name: str, readings: Readings) -> None:
-        """Hold readings of a stream."""
+        """Append readings to those held of a stream."""
         self._held.setdefault(name, []).append(readings)
         if name in self._single:
             return
@@ -193,7 +193,7 @@ class ReadingBuffer:
         self._rows.append(self._numbers[name], readings)
 
     def _all_held(self, name: str) -> Readings | None:
-        """Held readings of a stream, as one."""
+        """Held readings of a stream, joined."""
         parts = self._held.get(name)
         if not parts:
             return None
@@ -202,20 +202,20 @@ class ReadingBuffer:
         return parts[0]
 
     def streams(self, begin: float, *, single: bool = False) -> list[Readings]:
-        """Held readings at and after a time, a stream each; `single` ones do not come as rows."""
+        """Held readings at and after a time, by stream; `single` for those not stored as rows."""
         names = (name for name in self._held if name in self._single or not single)
         held = (self._all_held(name) for name in names)
         recent = [r.select(r.time >= begin) for r in held if r is not None]
         return [r for r in recent if len(r)]
 
     def since(self, begin: float) -> HeldReadings:
-        """Held readings at and after a time, as rows or a stream each."""
+        """Held readings at and after a time, as rows or by stream."""
         which = (self._rows.time >= begin).nonzero()[0]
         single = self.streams(begin, single=True) if self._single else []
         return HeldReadings(single, self._rows, which, self._labels)
 
     def discard(self, name: str, time: float, arclength: float) -> None:
-        """Let go of a reading that is beyond belief."""
+        """Discard a reading that the gate refuses."""
         held, rows = self._all_held(name), self._rows
         assert held is not None
         out = (held.time == time) & (held.arclength == arclength)
@@ -225,7 +225,7 @@ class ReadingBuffer:
             rows.keep(~(out & (rows.stream[: rows.count] == self._numbers[name])))
 
     def forget(self, oldest: float) -> None:
-        """Let go of what is older, of many at once."""
+        """Discard readings older than a time, as soon as there are many."""
         if sum(map(len, self._held.values())) + self._rows.count < self._many:
             return
         for name, parts in self._held.items():
@@ -240,6 +240,6 @@ class ReadingBuffer:
 
 
 def _ends(values: np.ndarray) -> tuple[float, float]:
-    """The smallest and the largest of some values, of which there are few as a rule."""
+    """Smallest and largest of some values, usually few."""
     each = values.tolist() if values.size < _SPARE else (values.min(), values.max())
     return min(each), max(each)

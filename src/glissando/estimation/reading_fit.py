@@ -1,4 +1,4 @@
-"""How readings agree with an estimate, by the very factors that it was solved with."""
+"""Agreement of readings with an estimate, from the same factors by which it was solved."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _CHUNK = 200  # readings at a time, to bound memory
 
 @dataclass(frozen=True)
 class ReadingFit(ShortRepr):
-    """Residuals of M readings, in units of what each is off by itself.
+    """Residuals of M readings, in units of each reading's own uncertainty.
 
     Attributes:
-        residual: Whitened residuals (M, r): of noise, an unsure place, and the bridge in time.
-        explained: Covariance (M, r, r) in the same units that the estimate gives them, by its
-            states and its sensor parameters; delays, which motion dates and no reading, as known
-            where readings of the stream were used.
+        residual: Residuals (M, r), whitened by noise, an uncertain place, and interpolation.
+        explained: Covariance (M, r, r), in the same units, of the readings' prediction by states
+            and sensor parameters; delays, which follow from motion, count as known where readings
+            of the stream were used.
         weight: Robust weights (M,) of the readings where they are used.
     """
 
@@ -37,16 +37,15 @@ class ReadingFit(ShortRepr):
     weight: Array
 
     def squared(self, used: NDArray[np.bool_] | bool, least: float) -> Array:
-        """Squares (M,) of the innovations against all other readings, in their own units.
+        """Squared innovations (M,) against all other readings, normalised by their covariance.
 
-        What a reading of weight w was used for leaves S = 1 − w G of its variance, where G is
-        explained: without it, its residual e is S⁻¹ e, of covariance S⁻¹ (S + G). With w = 1 this
-        is eᵀ (1 − G)⁻¹ e (equation 25); of a reading that was not used it is eᵀ (1 + G)⁻¹ e.
+        With G the covariance `explained`, the residual e of a reading of weight w would be S⁻¹ e
+        without that reading, S = 1 − w G, and its covariance S⁻¹ (S + G). With w = 1 the square is
+        eᵀ (1 − G)⁻¹ e (equation 25); for a reading that was not used it is eᵀ (1 + G)⁻¹ e.
 
         Args:
-            used: Which readings were used; one, or one each (M,).
-            least: Share of a reading's own variance that S counts as at least: where it is less,
-                rounding and the solver's tolerance decide.
+            used: Mask of the readings that were used: one for all, or (M,).
+            least: Lower bound on S, below which rounding and the solver's tolerance dominate.
         """
         share, axes = np.linalg.eigh(self.explained)
         left = 1.0 - np.where(used, self.weight, 0.0)[:, None] * share
@@ -55,20 +54,20 @@ class ReadingFit(ShortRepr):
         return np.einsum("mi,mi->m", along / (left * (left + share)), along)
 
     def white(self) -> Array:
-        """Innovations (M, r) of readings that were not used, in units of their covariance."""
+        """Whitened innovations (M, r) of readings that were not used."""
         share, axes = np.linalg.eigh(self.explained)
         along = np.einsum("mji,mj->mi", axes, self.residual) / np.sqrt(1.0 + share)
         return np.einsum("mij,mj->mi", axes, along)
 
 
 def fit_of(posterior: Posterior, readings: Readings, *, predicted: bool = False) -> ReadingFit:
-    """How readings agree with an estimate, whether it used them or not.
+    """Agreement of readings with an estimate, whether it used them or not.
 
     Args:
         posterior: The estimate.
         readings: Readings of one stream, corrected for known sensor parameters; those off the grid
-            are judged at its end.
-        predicted: Whether none of the stream was used: what is not known of delays counts, too.
+            are clamped to its ends.
+        predicted: Whether none of the stream was used: then the uncertainty of delays counts, too.
     """
     grid = posterior.grid
     marginals = posterior.marginals if predicted else posterior.marginals_of_known_delays
@@ -96,7 +95,7 @@ def fit_of(posterior: Posterior, readings: Readings, *, predicted: bool = False)
 
 
 def _explained(posterior: Posterior, marginals: Marginals, batch: Factors) -> Array:
-    """Covariance (M, r, r) of residuals by the numbers of the slabs at both ends of an interval."""
+    """Covariance (M, r, r) of residuals from the unknowns at both ends of their time interval."""
     count, inner = posterior.grid.shape
     size, dof = posterior.marginals.cov.shape[-1], posterior.state.dof
     m, r, c, d = batch.jacobian.shape
@@ -107,7 +106,7 @@ def _explained(posterior: Posterior, marginals: Marginals, batch: Factors) -> Ar
     slopes, rows = np.zeros((m, 2, size, r)), np.arange(m)[:, None]
     for j in range(c):
         columns = node[:, j, None] * dof + batch.dofs.start + np.arange(d)
-        within = slab[:, j] < count  # no weight beyond the last
+        within = slab[:, j] < count  # nodes beyond the last have no weight
         end = np.where(within, slab[:, j] - lower, 0)[:, None]
         part = np.where(within[:, None, None], batch.jacobian[:, :, j].swapaxes(1, 2), 0.0)
         slopes[rows, end, columns] += part

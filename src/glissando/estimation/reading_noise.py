@@ -1,4 +1,4 @@
-"""What readings are off by themselves: by their noise, and by not knowing where they were taken."""
+"""Covariance of readings by themselves: from their noise and their uncertain arclength."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NUDGE = 1e-5  # m along the robot, for a difference
 
 
 class StateSource(Protocol):
-    """What can be asked for states: a posterior or a smoother."""
+    """Source of states: a posterior or a smoother."""
 
     def at(self, arclength: ArrayLike, time: ArrayLike) -> StateEstimate:
         """State and covariance at points (M,)."""
@@ -25,16 +25,16 @@ class StateSource(Protocol):
 def reading_covariance(
     estimate: StateSource, readings: Readings, at: State, by_state: Array
 ) -> Array:
-    """Covariance of what readings are off by themselves. Source: equation (16).
+    """Covariance of readings from noise and uncertain arclength. Source: equation (16).
 
     Args:
-        estimate: Where states are asked for.
+        estimate: Source of the states beside the readings.
         readings: M readings.
-        at: The states (M,) where they were taken.
-        by_state: Slope (M, r, 18) of their residuals by the state.
+        at: States (M,) at the readings.
+        by_state: Jacobians (M, r, 18) of their residuals by the state.
 
     Returns:
-        Covariances (M, r, r), or whatever broadcasts to them.
+        Covariances (M, r, r), or an array that broadcasts to this shape.
     """
     std = np.broadcast_to(readings.arclength_std, (len(readings),))
     if not std.any():

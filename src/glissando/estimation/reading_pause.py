@@ -1,7 +1,7 @@
-"""Pauses of the readings: where nodes lie in them, and when a robot at rest is known as well.
+"""Pauses of the readings: time nodes in a pause, and when the estimate returns to rest.
 
-A node stands for the time around it. One step over a long pause would say that the robot had been
-at rest through half of it, so nodes go on at the usual step, then farther apart as the pause lasts.
+A node represents the time around it. One step over a long pause would imply that the robot was at
+rest through half of it, so nodes continue at the usual step, then farther apart as the pause lasts.
 """
 
 from __future__ import annotations
@@ -12,31 +12,31 @@ import numpy as np
 
 from glissando.estimation.reading_buffer import ReadingBuffer
 
-_USUAL = 1.0  # s: the usual step until two updates say what it is
-_LONE = 1 / 60  # s that a node without another stands for until then: half a step at 30 Hz
-_VOID = 2.0  # usual steps without a reading, which make a pause
-_GROWTH = 0.2  # of the pause so far: the longest step in it
-_CURVED = 0.2  # rad: where the tip's direction is known less well, belief is not linear
-_LOST = 2.0  # rad: where it is known less well, the robot may as well be at rest
-_GAPS, _LATE = 8, 2.0  # gaps between readings that are kept, and how often the longest is a silence
+_USUAL = 1.0  # s: the usual step until two updates determine it
+_LONE = 1 / 60  # s that a single node represents until then: half a step at 30 Hz
+_VOID = 2.0  # usual steps without a reading that make a pause
+_GROWTH = 0.2  # share of the pause so far: the longest step in it
+_CURVED = 0.2  # rad: std of the tip's direction above which the estimate is not linear
+_LOST = 2.0  # rad: std of the tip's direction above which the estimate returns to rest
+_GAPS, _LATE = 8, 2.0  # gaps between readings that are kept; times the longest that make a silence
 
 Spread = tuple[float, float]
 """RMS displacement (m) of the tip, and swing (rad) of its tangent."""
 
 
 def is_curved(spread: Spread) -> bool:
-    """Whether belief is too wide to be linear."""
+    """Whether the spread is too large for a linear estimate."""
     return spread[1] > _CURVED
 
 
 class ReadingPause:
-    """When a reading was heard last, and what is known of the tip since.
+    """Time since the last reading, and the uncertainty of the tip in a pause.
 
     Attributes:
         step: The usual step between nodes, s.
         heard: Time of the newest node with a reading, s.
-        lone: What a node stands for until there is another, s: half a step.
-        curved: Whether belief is too wide to be linear since nothing was read.
+        lone: Time that a single node represents until there is another, s: half a step.
+        curved: Whether the estimate is too uncertain to be linear since the last reading.
     """
 
     def __init__(self) -> None:
@@ -47,26 +47,26 @@ class ReadingPause:
         self._heard_since_rest = False
 
     def next_node(self, newest: float, time: float, buffer: ReadingBuffer) -> float:
-        """The next node on the way from the newest to a time, with the readings that wait."""
+        """Time of the next node on the way from the newest to a time, given waiting readings."""
         if time - newest <= _VOID * self.step:
             return time
         stops = np.append(buffer.due(time), time)
         void = np.flatnonzero(np.diff(stops, prepend=newest) > _VOID * self.step)
         if not void.size:
             return time
-        if void[0]:  # readings first
+        if void[0]:  # readings come first
             return max(float(stops[void[0] - 1]), newest + self.step)
         return self.next_in_void(newest, float(stops[0]))
 
     def next_in_void(self, newest: float, time: float) -> float:
-        """The next node on the way from the newest to a time until which nothing is read."""
+        """Time of the next node on the way to a time until which there are no readings."""
         if time - newest <= _VOID * self.step:
             return time
         ahead = newest + max(self.step, _GROWTH * (newest - self.heard))
         return ahead if ahead + self.step <= time else time
 
     def end(self, before: float | None, newest: float) -> None:
-        """Something was read in the interval between two nodes."""
+        """Record that there are readings in the interval between two nodes."""
         if before is not None and self.heard == before < newest:
             self.step, self.lone = newest - before, 0.5 * (newest - before)
         if self._heard_since_rest:
@@ -74,28 +74,28 @@ class ReadingPause:
         self.heard, self.curved, self._heard_since_rest = newest, False, True
 
     def note(self, spread: Spread) -> None:
-        """The tip is known so well, and nothing has read it since the last update."""
+        """Record the spread of the tip after an update without readings."""
         self.curved = is_curved(spread)
 
     @property
     def has_rest(self) -> bool:
-        """Whether it is known how much a robot at rest spreads."""
+        """Whether the spread at rest has been set."""
         return self._limits is not None
 
     def begin_at_rest(self) -> None:
-        """What was read before says nothing more, and how often it came neither."""
+        """Forget earlier readings and the gaps between them."""
         self.curved = self._heard_since_rest = False
         self._gaps.clear()
 
     def set_rest(self, spread: Spread, length: float) -> None:
-        """Belief at rest spreads so much on a robot of that length."""
+        """Set the spread of the tip at rest, for a robot of that length."""
         self._limits = min(spread[0], length), min(spread[1], _LOST)
 
     def is_at_rest(self, spread: Spread, time: float) -> bool:
-        """Whether a robot at rest is known as well as this, and all sensors are silent at a time.
+        """Whether the tip is as uncertain as at rest, and all sensors are silent at a time.
 
-        Sensors that are slower than updates are read now and then, and hold the rest of the body
-        where the tip is lost.
+        Sensors that are slower than updates have readings now and then, which determine the rest of
+        the body even where the tip is uncertain.
         """
         limits = self._limits
         if limits is None or time - self.heard <= _LATE * max(self._gaps, default=0.0):

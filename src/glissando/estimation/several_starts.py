@@ -1,4 +1,4 @@
-"""A search from one start, and from others where that ends astray: rest, bent shapes, pieces."""
+"""Solve from one start, and from others if the solution is implausible: rest, arcs, pieces."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ from glissando.model.state import State
 from glissando.solver.gauss_newton import Solution, SolverOptions
 from glissando.solver.outcome import Outcome
 
-_DOUBTFUL = 10.0  # standard deviations a number by which a start may be off and still be trusted
-_MOMENTS, _OF_ROD = 8, 28  # time nodes over which one shape is a start for all; of a rod are tried
+_DOUBTFUL = 10.0  # error in standard deviations per unknown up to which a start is trusted
+_MOMENTS, _OF_ROD = 8, 28  # most time nodes for which bent shapes are starts; the same for a rod
 _ROUGH_ITERATIONS = 30  # from a bent shape
-_PATIENCE = 40  # iterations after which a search that is far from any minimum is left for others
-_SUSPECT = 3.0  # times the cost that is expected, beyond which other starts are tried
+_PATIENCE = 40  # iterations after which a search that is far from any minimum tries other starts
+_SUSPECT = 3.0  # times the expected cost, beyond which other starts are tried
 
 Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
-"""Nodes to start from, rest if there are none, and sensor parameters with their values."""
+"""Nodes to start from, or None for rest, and sensor parameters with their values."""
 
 
 Solve = Callable[[Start, SolverOptions | None], Solution]
-"""Where the iteration ends from a start, with other options if there are any; may break down."""
+"""Solution from a start, with other options if given; may raise an error."""
 
 
 @dataclass(frozen=True)
 class StartProblem:
-    """What is estimated.
+    """Estimation problem for which several starts are tried.
 
     Attributes:
         prior: The prior.
         grid: The nodes.
         readings: Readings to explain.
-        options: When to stop.
-        piece: Where the iteration of some of the time nodes ends from a start; may break down.
+        options: Stopping criteria.
+        piece: Solves for a range of the time nodes from a start; may raise an error.
     """
 
     prior: Prior
@@ -59,18 +59,18 @@ _Elsewhere = Callable[[StartProblem, Solution | None, Start, Solve], Solution | 
 
 
 def best_end(sought: StartProblem, start: Start, solve: Solve) -> Solution:
-    """Solve from a start, and from others as well where that turns out to be far off.
+    """Solve from a start, and from others if that start proves far off.
 
-    Those are rest and, of a few moments that it does not explain, bent shapes; of more, what pieces
-    of a few moments lead to, one after the other.
+    Other starts are rest, and, if the solution does not explain the readings, bent shapes for few
+    time nodes, or for many the joined solutions of short pieces, solved one after the other.
 
     Args:
-        sought: What is estimated.
-        start: Where to start.
+        sought: The problem.
+        start: The first start.
         solve: Solves from a start.
 
     Returns:
-        The best end; its iterations are those from all starts.
+        The best solution; its iterations are those from all starts.
 
     Raises:
         UnobservableError: All starts break down (or numpy's LinAlgError).
@@ -106,9 +106,10 @@ def _best_end(sought: StartProblem, start: Start, solve: Solve) -> Solution:
 def _patient(
     sought: StartProblem, start: Start, solve: Solve, elsewhere: _Elsewhere | None
 ) -> tuple[Solution, _Elsewhere | None]:
-    """Where a search ends, or others if it is still far from any minimum after long.
+    """Solve from a start; try others if the search is far from any minimum after many iterations.
 
-    Also how to start elsewhere, if that is not done yet.
+    Returns:
+        The solution, and the function that tries other starts unless it has been called.
     """
     if elsewhere is None:
         return solve(start, None), None
@@ -126,12 +127,12 @@ def _patient(
 
 
 def start_at(solution: Solution) -> Start:
-    """Where a solution ended, to start from."""
+    """Start at a solution."""
     return solution.state, solution.located.parameters.by_name()
 
 
 def _elsewhere(sought: StartProblem) -> _Elsewhere | None:
-    """How to start elsewhere, if that is worth it; pieces of a rod's motion cost too much."""
+    """Function that tries other starts, or None where that costs too much, as pieces of a rod."""
     count, rod = sought.grid.time.size, isinstance(sought.prior, MechanicalPrior)
     if sought.options.max_iterations < _ROUGH_ITERATIONS or (rod and count > _OF_ROD):
         return None
@@ -141,9 +142,9 @@ def _elsewhere(sought: StartProblem) -> _Elsewhere | None:
 def _from_bent(
     sought: StartProblem, end: Solution | None, start: Start, solve: Solve
 ) -> Solution | None:
-    """Solve roughly from bent shapes until one will do, and on from the best if it is better.
+    """Solve roughly from bent shapes until one is plausible, then fully from the best.
 
-    None where all break down, as the start did if there is no `end`.
+    Returns `end`, which may be None, where no bent shape leads to a better solution.
     """
     prior, grid = sought.prior, sought.grid
     best, worth = end, partial(_worth, prior)
@@ -164,10 +165,10 @@ def _from_bent(
 def _from_pieces(
     sought: StartProblem, end: Solution | None, start: Start, solve: Solve
 ) -> Solution | None:
-    """Solve from estimates of a few moments, each from where the one before leads.
+    """Solve pieces of a few time nodes, each started from the one before, then all from these.
 
-    They overlap by halves, and of each what is not near its ends counts. Where one is not explained
-    either, other starts are no cure, and `end` stays.
+    Pieces overlap by half, and nodes near their ends are not used. If a piece is implausible as
+    well, other starts do not help, and `end` is returned.
     """
     count, half = sought.grid.time.size, _MOMENTS // 2
     state, last = sought.prior.rest_state(sought.grid), None
@@ -186,25 +187,25 @@ def _from_pieces(
 
 
 def _onward(state: State, begin: int, count: int) -> State:
-    """States (K, N) from time node `begin` on, the last one held, `count` in all."""
+    """States (`count`, N) from time node `begin` on, the last one repeated as necessary."""
     return state.take(np.minimum(begin + np.arange(count), len(state.pose) - 1))
 
 
 def _is_astray(prior: Prior, end: Solution) -> bool:
-    """Whether an iteration found no minimum, or one that may not be the lowest."""
+    """Whether a solution did not converge, or has a cost that suggests a lower minimum."""
     return not end.outcome.sound or is_implausible(prior, end, _SUSPECT)
 
 
 def _is_doubtful(solution: Solution) -> bool:
-    """Whether a solution may not be the lowest minimum, as its start was so far off."""
+    """Whether a solution may not be the lowest minimum, as its start was far off."""
     far = solution.first_step > _DOUBTFUL * float(np.sqrt(solution.equations.rhs.size))
     return far or not solution.outcome.sound
 
 
 def _worth(prior: Prior, end: Solution) -> tuple[bool, bool, float]:
-    """How good the end of an iteration is: whether chance allows its cost, before all.
+    """Rank of a solution: a plausible cost first, then convergence, then a low cost.
 
-    Where weights go to and fro with the shape, the right shape may be found and not converge, and a
+    Where weights oscillate with the shape, the right shape may be found without convergence, and a
     wrong one converge.
     """
     return not is_implausible(prior, end), end.outcome.sound, -end.cost

@@ -1,9 +1,9 @@
-"""How far shapes spread: covariances of a belief that is too wide for a tangent space.
+"""Spread of shapes: second moments where the covariance is too large for a tangent space.
 
-A linearised belief moves poses straight on. A body whose strains are hardly known bends instead:
-its points stay on the body, no farther from the base than it reaches, and turns wrap. Shapes are
-drawn from the belief, built from the base outwards, and their second moments about the mean taken.
-A belief so wide that draws would wind up is narrowed until it says no more than "anywhere".
+A linearised estimate moves poses along straight lines. A body with uncertain strains bends instead:
+its points stay within its length of the base, and rotations wrap around. Shapes are drawn from the
+estimate, built from the base outwards, and their second moments about the mean computed. Draws that
+would wind the body up are scaled down until its tip may merely point anywhere.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from glissando.geometry.se3 import Array
 from glissando.model.priors.steps import static_steps
 from glissando.model.state import DOF, POSE, STRAIN, State
 
-_WOUND = float(np.pi)  # rad: known less well, a body points anywhere; more would wind it up
+_WOUND = float(np.pi)  # rad: largest std of the tip's rotation; more would wind the body up
 
-_STRETCH = 1.1  # of its length: as far as a body reaches
-_PAIRS = 256  # of draws, opposite to each other
+_STRETCH = 1.1  # times its length: farthest reach of a body
+_PAIRS = 256  # pairs of antithetic draws
 _UNMOVED = np.eye(4)
 
 
 class ShapeSpread(StateEstimate):
-    """An estimate whose covariance is the second moment of shapes: their arcs are in it."""
+    """Estimate whose covariance is the second moment of shapes, arcs of positions included."""
 
     @staticmethod
     def of(estimate: StateEstimate) -> ShapeSpread:
-        """The same, what arcs add to positions being in its covariance (30)."""
+        """The estimate with the arcs' part of the position covariance included (30)."""
         cov = estimate.cov.copy()
         cov[..., :3, :3] = estimate.position_covariance()
         return ShapeSpread(estimate.pose, estimate.strain, estimate.velocity, cov)
@@ -48,22 +48,22 @@ class ShapeSpread(StateEstimate):
 def spread_between(
     arclength: Array, nodes: StateEstimate, place: Array, at: StateEstimate
 ) -> ShapeSpread:
-    """An estimate at places (…) with the spread of shapes at the nodes, straight between them.
+    """Estimate at places (…) with the spread of shapes, linear between the nodes.
 
-    Each node's covariance is of its own body frame, and so nearly that of a place beside it.
+    Each node's covariance is in its own body frame, and so nearly in that of a place beside it.
 
     Args:
         arclength: Nodes (N,), m.
-        nodes: What is believed there (N,), with the spread of shapes.
-        place: Where it is asked for, m.
-        at: What the linearised belief says there.
+        nodes: Estimate at the nodes (N,), with the spread of shapes.
+        place: Arclengths of the places, m.
+        at: Linearised estimate at the places.
     """
     cov = between_nodes(arclength, nodes.cov, place)
     return ShapeSpread(at.pose, at.strain, at.velocity, cov)
 
 
 def between_nodes(arclength: Array, cov: Array, place: Array) -> Array:
-    """Covariances of places (…) between those (N, d, d) of the nodes (N,), straight."""
+    """Covariances at places (…), linear between those (N, d, d) of the nodes (N,)."""
     upper = np.clip(np.searchsorted(arclength, place), 1, arclength.size - 1)
     share = (place - arclength[upper - 1]) / (arclength[upper] - arclength[upper - 1])
     share = np.asarray(share)[..., None, None]
@@ -72,14 +72,14 @@ def between_nodes(arclength: Array, cov: Array, place: Array) -> Array:
 
 
 def tip_spread(state: State, cov: Array) -> tuple[float, float]:
-    """RMS displacement (m) and swing (rad) of the tip by the joint covariance (D, D) of a time.
+    """RMS displacement (m) and swing (rad) of the tip from the joint covariance (D, D) of a time.
 
-    The swing turns the tangent. A turn about the tangent, which a coil does not read, moves no
-    point of the body.
+    The swing is the rotation of the tangent. A roll about the tangent, which a coil does not
+    measure, moves no point of the body.
 
     Args:
         state: Mean (N,).
-        cov: Joint covariance of its numbers, and of whatever follows them.
+        cov: Joint covariance of the nodes' unknowns, and of any that follow.
     """
     first = (state.pose.shape[0] - 1) * state.dof
     moves, turns = (cov[at : at + 3, at : at + 3] for at in (first, first + 3))
@@ -89,15 +89,15 @@ def tip_spread(state: State, cov: Array) -> tuple[float, float]:
 
 
 def shape_covariances(arclength: Array, state: State, cov: Array) -> Array:
-    """Second moments of the nodes of a time, of shapes drawn from its linearised belief.
+    """Second moments of the nodes of a time, over shapes drawn from the linearised estimate.
 
-    Displacements and turns are those of [R₀ᵀ(p − p₀), log(R₀ᵀR)]; strain and velocity are as the
-    belief has them. Where the belief is narrow these are its own covariances.
+    Displacements and rotations are [R₀ᵀ(p − p₀), log(R₀ᵀR)]; strain and velocity are those of the
+    estimate. Where the covariance is small the second moments equal it.
 
     Args:
         arclength: Nodes (N,), m.
         state: Mean (N,).
-        cov: Joint covariance (D, D) of the nodes' numbers, and of whatever follows them.
+        cov: Joint covariance (D, D) of the nodes' unknowns, and of any that follow.
 
     Returns:
         Covariances (N, 18, 18) of [pose, strain, velocity], body frame. Source: equation (30).
@@ -116,7 +116,7 @@ def shape_covariances(arclength: Array, state: State, cov: Array) -> Array:
     moments = np.einsum("mni,mnj->nij", error, error) / len(error)
     drawn = np.einsum("mni,mni->ni", draws, draws)[:, :DOF] / len(draws)
     own = np.diagonal(cov).reshape(count, dof)[:, :DOF]
-    scale = np.sqrt(own / drawn)  # so that nothing of the draws' chance shows where all is linear
+    scale = np.sqrt(own / drawn)  # removes the sampling error of variances where all is linear
     return scale[:, :, None] * moments * scale[:, None, :]
 
 
@@ -127,9 +127,9 @@ def _draws(size: int) -> Array:
 
 
 def _bent(arclength: Array, state: State, step: Array) -> Array:
-    """Poses (M, N, 4, 4) of the shapes to which steps (M, N, dof) of a state lead.
+    """Poses (M, N, 4, 4) of the shapes after steps (M, N, dof) from a state.
 
-    The errors of intervals (2') move as the step says to first order; poses are built from them.
+    The errors of intervals (2') change with the step to first order; poses are built from them.
     """
     lengths = np.diff(arclength)
     pose = [state.pose[0] @ se3.exp(step[:, 0, POSE])]
@@ -149,7 +149,7 @@ def _bent(arclength: Array, state: State, step: Array) -> Array:
 
 
 def _within(pose: Array, base: Array, reach: float) -> Array:
-    """Poses (M, 4, 4) brought back to where a body of that length reaches from its base."""
+    """Poses (M, 4, 4) with positions moved back to within `reach` of the base."""
     away = pose[:, :3, 3] - base[:, :3, 3]
     far = np.maximum(np.linalg.norm(away, axis=1) / reach, 1.0)
     pose[:, :3, 3] = base[:, :3, 3] + away / far[:, None]

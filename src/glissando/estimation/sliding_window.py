@@ -1,9 +1,9 @@
-"""The last time nodes of a motion, with everything older as a prior on the oldest of them.
+"""Sliding window over the last time nodes of a motion, with a prior from everything older.
 
-Intervals between time nodes are linearised by themselves, so that only those which changed are
-summed and eliminated again. What leaves the window stays as the Schur complement on the next node,
-whose linearisation point is fixed from then on: first-estimate Jacobians. Source: equation (20);
-Huang, Mourikis and Roumeliotis (2010) on first estimates.
+Intervals between time nodes are linearised separately, so that only those which changed are summed
+and eliminated again. A node that leaves the window is marginalised: its Schur complement is a prior
+on the next node, whose linearisation point is fixed from then on (first-estimate Jacobians).
+Source: equation (20); Huang, Mourikis and Roumeliotis (2010) on first estimates.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class SlidingWindow:
     """Time nodes of a prior on `arclength` (N,), solved together with `sensor_parameters`.
 
     Attributes:
-        parameters: What is known of those.
-        lone: What the first node stands for until there is another, s.
+        parameters: Estimates of the sensor parameters, kept when the window begins again.
+        lone: Time that the first node represents until there is another, s.
     """
 
     def __init__(
@@ -64,17 +64,17 @@ class SlidingWindow:
         self._process = EstimatedParameters(self._grid, self.sensor_parameters)
         self.parameters = WindowParameters(self._process)
         self._root = np.zeros((0, 0))  # its square is the covariance of the newest step
-        self._rng: np.random.Generator | None = None  # of noise, where it is asked for
+        self._rng: np.random.Generator | None = None  # of drawn noise, where that is needed
         self._first = 0
 
     @property
     def prior(self) -> Prior:
-        """What is believed of the motion."""
+        """The prior of the motion."""
         return self._factors.prior
 
     @property
     def dating(self) -> DelayDating | None:
-        """What dates the readings of streams with an estimated delay, if there are any."""
+        """Dating of the readings of streams with an estimated delay, if there are any."""
         return self._factors.dating
 
     def date_by(self, others: SlidingWindow) -> None:
@@ -83,14 +83,14 @@ class SlidingWindow:
         self._factors.dating = DelayDating(others, self._process)
 
     def begin(self, time: float, state: State) -> None:
-        """Start with one node, linearised at `state` (N,); of before, keep sensor parameters."""
+        """Begin with one node, linearised at `state` (N,), and the last sensor parameters."""
         values, cov = self.parameters.begin(time)
         self.before = None
         self.nodes = self._node(time, state, values)
         self.layout = Layout(self.arclength.size, state.dof, self._process.size)
         size, own = self.layout.size, slice(state.numbers, None)
         info, rhs = np.zeros((size, size)), np.zeros(size)
-        own_info = self._process.std**-2.0  # which the first node has anyway
+        own_info = self._process.std**-2.0  # added by the drift factor of the first node
         info[own, own] = np.linalg.inv(cov) - np.diag(own_info)
         rhs[own] = own_info * (values - self._process.mean)
         self._system = WindowSystem(self.layout, info, rhs)
@@ -100,12 +100,12 @@ class SlidingWindow:
         self._root = np.zeros((0, 0))
 
     def settle(self) -> None:
-        """Note what is known of the sensor parameters, to go on with where a window begins anew.
+        """Record the estimates of sensor parameters, for when the window begins again.
 
-        Of what readings tell of delays only a share counts from now on.
+        The estimate is changed so that only a share of the information on delays counts.
 
         Raises:
-            NotLinearError: A delay is further off than what is stated of it allows.
+            NotLinearError: A delay is farther off than its stated uncertainty allows.
         """
         if not self._process.size:
             return
@@ -117,7 +117,7 @@ class SlidingWindow:
 
     @property
     def longest_delay(self) -> float:
-        """How far, s, a reading may be from its stamp by delays that are estimated."""
+        """Largest shift, s, of a reading from its time stamp by estimated delays."""
         values, std = self._process.mean, self._process.std
         if self._root.size:
             own = self._root[:, self.nodes.state.numbers :]
@@ -126,7 +126,7 @@ class SlidingWindow:
 
     @property
     def intact(self) -> int:
-        """How many nodes, from the oldest on, are solved: a solution begins at none beyond them."""
+        """Number of nodes, from the oldest on, that are solved; no solution may begin beyond."""
         return self._system.intact
 
     @property
@@ -140,12 +140,12 @@ class SlidingWindow:
         return self._grid.at_times(self.nodes.time[first:], before, self.lone)
 
     def since(self, first: int) -> float:
-        """The time from which on readings are of the intervals from node `first` on, s."""
+        """Time from which readings belong to the intervals from node `first` on, s."""
         time = self.nodes.time
         return reads_from(float(time[first]), float(time[first - 1]) if first else self.before)
 
     def append(self, time: float) -> None:
-        """One more node, where constant velocity (and strain rate) lead from the newest."""
+        """Append a node, predicted from the newest by constant velocity (and strain rate)."""
         (state, parameters), lasts = self.nodes.newest, time - float(self.nodes.time[-1])
         ahead = replace(state, pose=se3.retract(state.pose, lasts * state.velocity))
         if state.strain_rate is not None:
@@ -156,11 +156,11 @@ class SlidingWindow:
         self._system.append()
 
     def copied(self) -> SlidingWindow:
-        """The same window, to go on with without a change to this one."""
+        """A copy that can be changed without changing this window."""
         return self.with_prior(self.prior)
 
     def with_prior(self, prior: Prior) -> SlidingWindow:
-        """A copy whose intervals, as they are linearised from now on, have another prior."""
+        """A copy with another prior for intervals that are linearised from now on."""
         out = copy(self)
         out._system, out._factors = self._system.copied(), self._factors.with_prior(prior)
         out._factors.dating = self.dating and self.dating.copied()
@@ -172,7 +172,7 @@ class SlidingWindow:
         return Nodes(np.array([time]), state.take(np.newaxis), parameters[None], still, own)
 
     def drop(self) -> None:
-        """Leave the oldest node behind, as a prior on the next, which is not linearised again.
+        """Marginalise the oldest node into a prior on the next, which is not relinearised.
 
         Source: equation (20).
         """
@@ -186,41 +186,41 @@ class SlidingWindow:
         self._first = max(0, self._first - 1)
 
     def _fixed(self, first: int) -> int:
-        """The first node after `first` whose linearisation may move; the oldest unless fixed."""
+        """First node that may be relinearised if solving from `first`; the oldest unless fixed."""
         return first + (first > 0 or self.before is not None)
 
     @property
     def points(self) -> tuple[Nodes, Array]:
-        """Where nodes are linearised, to come back to: with what the prior says from there."""
+        """Linearisation points of the nodes, and the right-hand side of the prior about them."""
         return self.nodes, self._system.rhs
 
     @points.setter
     def points(self, before: tuple[Nodes, Array]) -> None:
-        """Come back to where nodes were linearised."""
+        """Restore earlier linearisation points."""
         self.nodes, self._system.rhs = before
 
     def relinearize(self, first: int) -> None:
         """Linearise the nodes after `first` at their estimates; the oldest too unless fixed."""
         fixed = self._fixed(first)
-        if not fixed:  # what is known of the sensor parameters is about their old point
+        if not fixed:  # the prior of the sensor parameters is about their old point
             self._system.rhs = self._system.rhs - self._system.info @ self.nodes.step[0]
         self.nodes = self.nodes.at_estimate(fixed)
 
     def restate(self, state: State) -> None:
-        """Take states (K, N) for the estimates of all nodes."""
+        """Set the estimates and linearisation points of all nodes to states (K, N)."""
         nodes = replace(self.nodes, state=state)
         self.nodes = nodes.stepped(np.zeros_like(nodes.step))
 
     def takes_as_row(self, readings: Readings) -> bool:
-        """Whether readings may come as rows, with the streams of others."""
+        """Whether readings may be stored as rows, together with those of other streams."""
         return self._factors.takes_as_row(readings)
 
     def solve(self, first: int, readings: HeldReadings) -> None:
-        """Linearise all that begins at the nodes from `first` on, eliminate, find every step.
+        """Linearise and eliminate all intervals from node `first` on, and solve for all steps.
 
         Args:
-            first: The node.
-            readings: All at and after it.
+            first: First node.
+            readings: All readings at and after that node.
         """
         sums = self._linearized(first, readings)
         self.nodes = self.nodes.stepped(self._system.solve(first, sums))
@@ -235,7 +235,7 @@ class SlidingWindow:
 
     @property
     def estimate_and_noise(self) -> tuple[State, State]:
-        """Nodes (K, N) as estimated, and moved by what noise of the readings makes of a robot."""
+        """Estimated nodes (K, N), and these moved by the response to drawn noise of readings."""
         state = self.nodes.estimate[0]
         noise = self._noise[:, : state.numbers].reshape(*state.pose.shape[:2], -1)
         return state, state.retract(noise)
@@ -251,10 +251,10 @@ class SlidingWindow:
         return builder
 
     def miss(self, first: int) -> float:
-        """How far the last step may have missed, in standard deviations of the newest poses.
+        """Error of the last step by nonlinearity, in standard deviations of the newest poses.
 
-        A step goes straight where motions curve: half its length times the largest angle by which
-        it turned any node that is linearised again.
+        A step is straight where motions are curved: its error is half its length times the largest
+        angle by which it rotated any node that is relinearised.
         """
         free = self.nodes.step[self._fixed(first) :]
         if not free.size:
@@ -280,7 +280,7 @@ class SlidingWindow:
         return nis
 
     def newest(self) -> tuple[State, Array]:
-        """Estimate (N,) of the newest time and its covariance (D, D), in the axes of the state."""
+        """Estimate (N,) at the newest time and its covariance (D, D), in the axes of the state."""
         start, end = self.nodes.state.take(-1), self.nodes.newest[0]
         cov = self._root.T @ self._root
         if has_rolled(start, end):
@@ -288,11 +288,11 @@ class SlidingWindow:
         return end, cov
 
     def newest_step(self) -> tuple[Array, Array]:
-        """The step (D,) of the newest node from where it is linearised, and its covariance."""
+        """Step (D,) of the newest node from its linearisation point, and covariance (D, D)."""
         return self.nodes.step[-1], self._root.T @ self._root
 
     def newest_nodes(self) -> StateEstimate:
-        """The newest time at the nodes (N,), each with its own covariance (N, 18, 18)."""
+        """Estimate at the newest time at the nodes (N,), with covariances (N, 18, 18)."""
         layout, (start, end) = self.layout, (self.nodes.state.take(-1), self.nodes.newest[0])
         cov = window_kernels.node_covariances(self._root, layout.nodes, layout.dof, DOF)
         if has_rolled(start, end):
@@ -300,7 +300,7 @@ class SlidingWindow:
         return StateEstimate(end.pose, end.strain, end.velocity, cov)
 
     def posterior(self) -> Posterior:
-        """The window as a posterior, as an estimate of a recording is."""
+        """The window as a posterior, like that of a recording."""
         state, values = self.nodes.estimate
         system, rhs = self._system.system()
         report = SolveReport(Outcome.UPDATED, 1, 0.0, rhs.size, 0.0, 0.0, 0, {})

@@ -1,10 +1,10 @@
-"""Online: how much of what dates delayed readings is motion, and how much is noise.
+"""Online: information on delays from the motion, and the part of it that is noise.
 
-With s the slopes of readings by the time they were taken, S their covariance before any was read
-and delays held, they tell sᵀS⁻¹s of their delay, s⁻². Over the nodes it is sᵀR⁻¹s − bᵀA⁻¹b, where A
-is the information on them, R the noise and b = JᵀR⁻¹s: nodes are eliminated one by one as they
-leave a window, when their readings were linearised for the last time. The same is found of slopes
-that are nothing but noise: where a motion is smooth those may tell most of it.
+With s the slopes of readings in time and S their prior covariance with delays fixed, readings have
+the information sᵀS⁻¹s on their delay, s⁻². In terms of the nodes it is sᵀR⁻¹s − bᵀA⁻¹b, with A the
+information on the nodes, R the noise and b = JᵀR⁻¹s: nodes are eliminated one by one as they leave
+a window, when their readings have been linearised for the last time. The same is computed for
+slopes of pure noise: where a motion is smooth they may contribute most of the information.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
-_MEMORY = 50.0  # intervals over which it is found
-_DEVIATIONS = 3.0  # by which motion has to tell more than noise, at each of many updates
-_KINDS = 2  # of slopes: of motion and of noise
-_ROUNDING = 1e-13  # of a diagonal entry of the information
+_MEMORY = 50.0  # intervals over which information is averaged
+_DEVIATIONS = 3.0  # standard deviations by which motion must exceed noise, at each of many updates
+_KINDS = 2  # kinds of slopes: of motion and of noise
+_ROUNDING = 1e-13  # relative to a diagonal entry of the information
 
 
 class Slopes(NamedTuple):
@@ -32,8 +32,8 @@ class Slopes(NamedTuple):
 
     Attributes:
         stream: The stream's name.
-        factors: Its linearised readings (M).
-        by_time: Slopes (2, M, r) by the time, s⁻¹: of motion and of noise.
+        factors: Linearised readings (M) of the stream.
+        by_time: Slopes (2, M, r) in time, s⁻¹: of motion and of noise.
     """
 
     stream: str
@@ -42,11 +42,11 @@ class Slopes(NamedTuple):
 
 
 class SlopeInformation:
-    """What motion and noise tell some streams of their delays, as nodes leave a window.
+    """Information from motion and from noise on the delays of streams, as nodes leave a window.
 
     Attributes:
-        total: Of each stream (·, 3) what motion tells and what noise tells, s⁻², since the window
-            began and up to its oldest node, and of how many numbers of readings.
+        total: For each stream (·, 3): information from motion and from noise, s⁻², since the window
+            began and up to its oldest node, and number of scalar readings.
     """
 
     def __init__(self, streams: Sequence[str], columns: Sequence[int]) -> None:
@@ -54,13 +54,13 @@ class SlopeInformation:
 
         Args:
             streams: Names of the streams.
-            columns: Which sensor parameters are delays.
+            columns: Columns of the sensor parameters that are delays.
         """
         self._streams, self._columns = list(streams), columns
         self._recent = np.zeros((len(self._streams), 3))
 
     def begin(self, layout: Layout, info: Array) -> None:
-        """Begin a window with one node, of whose numbers `info` (D, D) is known."""
+        """Begin a window with one node, on which there is prior information `info` (D, D)."""
         delays = [layout.nodes * layout.dof + column for column in self._columns]
         self._layout, self._others = layout, np.setdiff1d(np.arange(layout.size), delays)
         self._info = info[np.ix_(self._others, self._others)]
@@ -68,25 +68,25 @@ class SlopeInformation:
         self._squares, self.total = np.zeros((2, len(self._streams), 3))
 
     def copied(self) -> SlopeInformation:
-        """The same, to go on with without a change to this one."""
+        """A copy that can be changed without changing this one."""
         return copy(self)
 
     def share(self, stream: str) -> float:
-        """How much of the motion's slope counts for a stream."""
+        """Share of the motion's slope that counts for a stream."""
         of_motion, of_noise, numbers = self._recent[self._streams.index(stream)].tolist()
         return share(of_motion, of_noise, numbers, _DEVIATIONS)
 
     def note(self, sums: NormalEquationsBuilder, slopes: Sequence[Slopes]) -> None:
-        """Note how a whole window was linearised last.
+        """Record the last linearisation of a whole window.
 
         Args:
-            sums: Of all its factors, which are not overwritten before nodes leave.
-            slopes: Those of each stream, of some of its readings at a time.
+            sums: Sums of all factors, which are not overwritten before nodes leave.
+            slopes: Slopes of the readings of all streams, in batches of one stream.
         """
         self._sums, self._slopes, self._oldest = sums, slopes, 0
 
     def drop(self) -> None:
-        """Leave the oldest node behind, and count what was read until the next."""
+        """Eliminate the oldest node, and count the information of readings up to the next."""
         interval, sums = self._oldest, self._sums
         rows = np.ix_(self._others, self._others)
         begin, end, across = (each[interval][rows] for each in (sums.begin, sums.end, sums.across))
@@ -101,11 +101,11 @@ class SlopeInformation:
         self._oldest += 1
 
     def _by_stream(self, solved: Array) -> Array:
-        """Parts of bᵀA⁻¹b by stream and kind, of what is solved forward."""
+        """Contributions to bᵀA⁻¹b by stream and kind, from the forward solution."""
         return np.sum(solved**2, axis=0).reshape(-1, _KINDS)
 
     def _slope_sums(self, interval: int) -> Array:
-        """Sums b of an interval's readings (2, D, ·) where it begins and ends; counts sᵀR⁻¹s."""
+        """Sums b (2, D, ·) of an interval's readings at both ends; adds to sᵀR⁻¹s."""
         layout, rows = self._layout, (len(self._streams), _KINDS)
         n, last = layout.nodes, max(len(self._sums.begin) - 2, 0)
         of_nodes = np.zeros((2 * n, layout.dof, *rows))
@@ -128,6 +128,6 @@ class SlopeInformation:
 
 
 def _eliminated(info: Array, rhs: Array) -> tuple[Array, Array]:
-    """The lower root of some numbers' information (D, D), and right-hand sides (D, ·) by it."""
+    """Cholesky factor of information (D, D), and right-hand sides (D, ·) solved with it."""
     root = cholesky(info + _ROUNDING * np.diag(np.diagonal(info)), lower=True, check_finite=False)
     return root, solve_triangular(root, rhs, lower=True, check_finite=False)

@@ -1,9 +1,9 @@
-"""How much of a motion's slope is motion: what noise of readings alone makes a robot seem to do.
+"""Share of an estimated motion's slope that is motion, and not an effect of the readings' noise.
 
-A robot is always estimated to move by what noise makes of it, and where its shape may bend freely
-between sensors, noise tells most of what such slopes tell of a delay. With s the slopes of readings
-by the time they were taken and S their covariance while delays are held, that is sᵀS⁻¹s. The same
-of drawn noise is taken off, and nothing counts where it may be noise by chance.
+Noise of the readings moves any estimate, and where the shape may bend freely between sensors it
+contributes most of the information of slopes on a delay. With s the slopes of readings in time and
+S their covariance with delays fixed, that information is sᵀS⁻¹s. That of drawn noise is subtracted,
+and nothing counts where noise alone may explain it by chance.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from glissando.solver.located_readings import LocatedReadings, locate
 from glissando.solver.measurement_factors import measurement_factors
 from glissando.solver.normal_equations import Gradient, NormalEquationsBuilder
 
-_ALIKE = 6.0  # numbers of readings that vary as one square, by how much draws of noise differ
+_ALIKE = 6.0  # scalar readings per independent square, from the scatter of draws of noise
 
 
 def shares_of_slope(
@@ -37,15 +37,15 @@ def shares_of_slope(
     late: Collection[str],
     delays: Sequence[int],
 ) -> dict[str, float]:
-    """How much of the motion's slope each late stream can count on.
+    """Share of the motion's slope that counts for each delayed stream, by its name.
 
     Args:
         prior: The prior.
-        moving: The readings, with the motion by which delays are seen.
-        noise: Draws of what noise would make a robot at rest seem to do, see `motion_of_noise`.
-        solution: The estimate from all readings; its memory is overwritten.
+        moving: The readings, with the motion that dates delays.
+        noise: Draws of the apparent motion of a robot at rest, see `motion_of_noise`.
+        solution: Solution from all readings; its memory is overwritten.
         late: Names of the streams with a delay.
-        delays: Which numbers of the sensor parameters are delays.
+        delays: Columns of the sensor parameters that are delays.
     """
     state, process = solution.state, moving.parameters.process
     workspace, cholesky = solution.memory(state.numbers + process.size)
@@ -70,19 +70,19 @@ def shares_of_slope(
 
 
 def share(of_motion: float, of_noise: float, numbers: float, deviations: float = 2.0) -> float:
-    """How much of the motion's slope counts: all but noise, where it tells more than by chance.
+    """Share of the motion's slope that counts: the part above noise, where that is significant.
 
     Half the logarithm of the ratio of two sums of ν squares has a standard deviation of ν^-1/2.
     Source: Fisher's z.
 
     Args:
-        of_motion: What readings say of the delay, s⁻².
-        of_noise: What nothing but noise would say.
-        numbers: How many numbers of readings that is from.
-        deviations: Standard deviations by which it has to exceed what noise would say.
+        of_motion: Information of the readings on the delay, s⁻².
+        of_noise: Mean of the same for pure noise, s⁻².
+        numbers: Number of scalar readings.
+        deviations: Standard deviations by which the first has to exceed the second.
     """
     chance = np.exp(2.0 * deviations / np.sqrt(max(numbers / _ALIKE, 1e-3)))
-    of_noise = max(of_noise, 0.0)  # but for rounding
+    of_noise = max(of_noise, 0.0)  # negative only by rounding
     return float(np.sqrt(1.0 - of_noise / of_motion)) if of_motion > chance * of_noise else 0.0
 
 
@@ -93,7 +93,7 @@ def _information_of_motion(
     delays: Sequence[int],
     cholesky: Cholesky,
 ) -> float:
-    """What the readings of a stream tell of its delay by the motion, s⁻²."""
+    """Information of a stream's readings on its delay, given a motion, s⁻²."""
     process, state = own.parameters.process, solution.state
     columns, out = [*delays, *(process.size + column for column in delays)], 0.0
     sums = Gradient(layout_of(own, state), own.grid.time.size)
@@ -108,7 +108,7 @@ def _information_of_motion(
 
 
 def motion_of_noise(prior: Prior, shown: Solution, rng: np.random.Generator) -> State:
-    """What noise of the readings alone would make a robot at rest seem to do."""
+    """Apparent motion of a robot at rest, estimated from drawn noise of the readings."""
     located, state = shown.located, shown.state
     rhs = rhs_of_noise(prior, located, (state, shown.equations.noise_state), rng)
     step = shown.cholesky.solve(rhs)[:, : state.numbers]
@@ -119,7 +119,7 @@ def motion_of_noise(prior: Prior, shown: Solution, rng: np.random.Generator) -> 
 def rhs_of_noise(
     prior: Prior, located: LocatedReadings, states: tuple[State, State], rng: np.random.Generator
 ) -> Array:
-    """What readings at states would have on the right (K, D) were nothing but noise in them."""
+    """Right-hand side (K, D) of readings at states if their residuals were drawn noise."""
     sums = Gradient(layout_of(located, states[0]), located.grid.time.size)
     for _, _, batch in measurement_factors(prior, located, *states):
         add_noise(sums, batch, batch.terms.robust_weights(), rng)
@@ -132,7 +132,7 @@ def add_noise(
     weights: Array,
     rng: np.random.Generator,
 ) -> None:
-    """Add readings as they would be if there were nothing but noise in them, with weights (M,)."""
+    """Add readings with drawn noise for residuals, and weights (M,)."""
     white = rng.standard_normal(batch.terms.residual.shape)
     noise = np.asarray(np.linalg.solve(batch.terms.sqrt_info, white[..., None])[..., 0])
     sums.accumulate(replace(batch, terms=replace(batch.terms, residual=noise)), weights)

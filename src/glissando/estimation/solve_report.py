@@ -1,4 +1,4 @@
-"""How an estimate was reached."""
+"""Report of the solver that comes with an estimate."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from glissando.solver.outcome import Outcome
 
 @dataclass(frozen=True)
 class SolveReport:
-    """How an estimate was reached.
+    """Report of the solver: outcome, effort and fit.
 
     Attributes:
-        outcome: How the solver ended.
-        iterations: How many iterations over all time nodes it took, from all starts.
+        outcome: Outcome of the solver.
+        iterations: Number of iterations over all time nodes, from all starts.
         last_step: Length of the last step, posterior standard deviations.
-        unknowns: How many numbers were estimated.
+        unknowns: Number of unknowns.
         cost: Half the sum of squared whitened residuals, or of their losses.
-        log_fit: −cost − ½ log det of the noise and of the system, of which the prior's factors make
-            the log evidence (equation 22), `Posterior.log_evidence`.
-        suspects: How many readings a robust loss gave less than half their weight.
-        seconds: Processor time by phase; empty of a posterior that was loaded.
+        log_fit: −cost − ½ log det of the noise and of the system, which the prior's normaliser
+            completes to the log evidence (equation 22), `Posterior.log_evidence`.
+        suspects: Number of readings to which a robust loss gave less than half their weight.
+        seconds: Processor time by phase, s; empty for a posterior that was loaded.
         refused: Rows of each stream that were not used, as all other readings refute them.
-        worst: Of an estimate that did not converge, the readings that fit least where it ended.
-        doubt: Why confidence is too small, if many readings contradict the estimate.
+        worst: If the estimate did not converge, the readings with the largest residuals.
+        doubt: Sentence on why covariances are too small, if many readings contradict the estimate.
     """
 
     outcome: Outcome
@@ -44,7 +44,7 @@ class SolveReport:
 
     @property
     def converged(self) -> bool:
-        """Whether the result can be trusted: the solver reached what it was to reach."""
+        """Whether the solver met its criterion, so that the result can be trusted."""
         return self.outcome.sound
 
     @property
@@ -62,7 +62,7 @@ class SolveReport:
         )
 
     def to_table(self) -> dict[str, Any]:
-        """The report as JSON holds it, without the times, which differ from run to run."""
+        """The report as a table for JSON, without the times, which differ from run to run."""
         table = {**vars(self), "outcome": self.outcome.name}
         del table["seconds"]
         return table
@@ -74,6 +74,6 @@ class SolveReport:
             status = table.pop("status")
             named = {"converged": "CONVERGED", "online": "UPDATED"}
             table |= {"outcome": named.get(status, "ITERATION_LIMIT"), "last_step": np.nan}
-        if "log_evidence" in table:  # which lacked what the prior's factors leave out
+        if "log_evidence" in table:  # without the prior's normaliser
             table["log_fit"] = table.pop("log_evidence")
         return SolveReport(**{"seconds": {}, **table, "outcome": Outcome[table["outcome"]]})

@@ -1,7 +1,7 @@
-"""Where an estimate starts: at rest, and from there over coarse time nodes to near the answer.
+"""Start of an estimate: from rest, by a solution on coarse time nodes.
 
-The first iterations take long steps, which a coarse grid and some of the readings show as well as
-all of them, at a fraction of the cost (nested iteration, as multigrid methods start).
+The first iterations take long steps, which a coarse grid and some of the readings determine as well
+as all of them, at a fraction of the cost (nested iteration, as multigrid methods start).
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from glissando.model.state import State
 from glissando.solver.gauss_newton import Progress, SolverOptions, Stopwatch, minimize
 from glissando.solver.located_readings import LocatedReadings, locate
 
-_COARSER = 4  # fine time nodes to a coarse one
-_NEARER = 0.4  # part of a rough start's tolerance: a coarse iteration more spares a whole one
-_WORTHWHILE = 7  # coarse time nodes below which they save nothing
+_COARSER = 4  # fine time nodes per coarse one
+_NEARER = 0.4  # factor on a rough start's tolerance: one more coarse iteration saves a fine one
+_WORTHWHILE = 7  # coarse intervals below which they save nothing
 
 
 def starting_point(
     prior: Prior, located: LocatedReadings, progress: Progress | None, clock: Stopwatch
 ) -> tuple[State, LocatedReadings, int]:
-    """Near the estimate, from coarse time nodes and a prior that bends easily, where these pay.
+    """Start near the estimate, by coarse time nodes and a softer prior where these save time.
 
-    Stiff shear and extension make a bend a long walk along a narrow valley, so a stiff prior starts
-    from the estimate of a softer one.
+    With stiff shear and extension a bend takes many steps along a narrow valley of the cost, so a
+    stiff prior starts from the estimate of a softer one.
 
     Args:
-        prior: What is believed before any reading.
+        prior: The prior of the motion.
         located: The readings on the grid of the estimate.
         progress: Called after each iteration.
-        clock: Times the phases.
+        clock: Stopwatch of the phases.
 
     Returns:
-        State (K, N), the readings with the sensor parameters that go with it, iterations.
+        State (K, N), readings with the sensor parameters of that start, and number of iterations.
     """
     state, iterations, soft = prior.rest_state(located.grid), 0, bending_easily(prior, located)
     coarse = _coarsened(located) if state.inertia is None else None  # coarse nodes miss vibration
@@ -72,20 +72,20 @@ def starting_point(
 
 
 def bending_easily(prior: Prior, located: LocatedReadings) -> Prior:
-    """The prior with soft shear where poses have to bend the robot; of strains alone itself.
+    """The prior with soft shear, unless all readings resolve the body's axes, as of strain.
 
-    Strains state the bend, to which a step leads at once. Of a soft prior they leave poses that
-    shear where they should bend, which a stiff one then walks back.
+    Readings of strain determine the bend in a single step. With a soft prior they leave poses that
+    shear instead of bending, which a stiff prior would have to correct in many steps.
     """
     stated = located.streams and all(stream.resolves_axes for stream in located.streams)
     return prior if stated else prior.with_soft_shear()
 
 
 def with_convex_losses(located: LocatedReadings) -> LocatedReadings:
-    """The readings with losses that forgive nothing wholly; themselves where theirs do not.
+    """The readings with saturating losses replaced by Huber's; unchanged if there are none.
 
-    A loss that saturates throws away all readings that its start does not explain: from rest those
-    of a bent robot. Huber's with the same threshold leads near the shape first (graduated
+    A loss that saturates discards all readings that its start does not explain: from rest those of
+    a bent robot. Huber's loss with the same threshold leads near the shape first (graduated
     non-convexity).
     """
     if not any(isinstance(r.loss, GemanMcClure) for r in located.streams):
@@ -101,11 +101,11 @@ def with_convex_losses(located: LocatedReadings) -> LocatedReadings:
 def with_parameters(
     located: LocatedReadings, values: Sequence[tuple[SensorParameter, Array]]
 ) -> LocatedReadings:
-    """The readings where sensor parameters of other values put them.
+    """The readings, located with other values of sensor parameters.
 
     Args:
         located: The readings.
-        values: Parameters, of which those of the same names are taken, with values (K, size).
+        values: Parameters, matched by name, with values (K, size).
     """
     process, step = located.parameters.process, np.zeros_like(located.parameters.values)
     known = {parameter.name: value for parameter, value in values}
@@ -116,7 +116,7 @@ def with_parameters(
 
 
 def _coarsened(located: LocatedReadings) -> LocatedReadings | None:
-    """Some of the readings on some of the time nodes; None where that saves nothing."""
+    """Part of the readings on part of the time nodes; None where that saves nothing."""
     time, arclength = located.grid.time, located.grid.arclength
     intervals = (time.size - 1) // _COARSER
     if intervals < _WORTHWHILE:
@@ -132,13 +132,13 @@ def _coarsened(located: LocatedReadings) -> LocatedReadings | None:
 
 
 def _thinned(readings: Readings, time: Array) -> Readings:
-    """The readings that suffice for coarse time nodes: about two a node of each stream."""
+    """Readings that suffice for coarse time nodes: one or two of a stream per fine time node."""
     every = max(1, 2 * len(readings) * _COARSER // (8 * time.size))
     return readings.select(np.arange(0, len(readings), every))
 
 
 def _refined(state: State, coarse: Array, time: Array) -> State:
-    """States (K, N) at other times, by cubics in the tangent space through pose and velocity."""
+    """States (K, N) at other times: poses by Hermite cubics in the tangent space, others linear."""
     lower = np.clip(np.searchsorted(coarse, time, side="right") - 1, 0, coarse.size - 2)
     step = (coarse[lower + 1] - coarse[lower])[:, None, None]
     u = ((time - coarse[lower]) / step[:, 0, 0])[:, None, None]

@@ -1,4 +1,4 @@
-"""State and covariance at any arclength and time, given what is known of the nodes."""
+"""State and covariance at any arclength and time, given those of the nodes."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from glissando.model.short_repr import ShortRepr
 from glissando.model.state import DOF, State
 from glissando.solver.block_tridiagonal import Marginals
 
-_CHUNK = 500  # queries at a time: more ask for new memory faster than it is given
+_CHUNK = 500  # queries at a time: with more, allocating memory takes longer than computing
 _UNMOVED = np.eye(4)
 
 Spread = Callable[[Index, Array, Array], Array]
-"""Covariances (M, r, r) by nodes (M, c), slopes (M, r, c, dof) by them, and what these leave."""
+"""Covariances (M, r, r) from nodes (M, c), Jacobians (M, r, c, dof), and covariances given them."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def state_at(
         prior: The prior of the motion.
         grid: The grid.
         state: Mean (K, N) at the nodes.
-        covariance: What it takes from nodes to the points.
+        covariance: Computes the covariance at points from that of their nodes.
         arclength: Metres; broadcast with `time`.
         time: Seconds.
 
@@ -135,14 +135,14 @@ def state_at(
 
 
 def spread(grid: Grid, marginals: Marginals, nodes: Index, slopes: Array, left: Array) -> Array:
-    """Covariance (M, r, r) of what depends on nodes.
+    """Covariance (M, r, r) of quantities that depend on nodes.
 
     Args:
         grid: The grid.
-        marginals: Covariance of the nodes' numbers, a slab for each time.
+        marginals: Covariance of the nodes' unknowns, a slab for each time.
         nodes: Nodes (M, c), k · N + n.
-        slopes: Derivatives (M, r, c, dof) by their numbers.
-        left: Covariance (M, r, r) that they leave open.
+        slopes: Jacobians (M, r, c, dof) by these nodes.
+        left: Covariance (M, r, r) of the quantities given the nodes.
     """
     slab, inner = np.divmod(nodes, grid.arclength.size)
     return marginals.spread(slab, inner * slopes.shape[-1], slopes, left)

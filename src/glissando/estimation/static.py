@@ -1,8 +1,8 @@
-"""Many static shapes of one robot, estimated together: each by itself, all in the same arrays.
+"""Estimation of many independent static shapes of one robot, all in the same arrays.
 
-A shape that holds still is pose and strain along the body, half the numbers of a moment in a
-recording, and its factors couple neighbours along arclength only. So shapes are chains, and a
-hundred of them cost little more than one. Source: equations (2'), (20), (21).
+A static shape has only pose and strain as unknowns, and its factors couple only neighbouring
+arclength nodes. Its system is block-tridiagonal in arclength, and a hundred shapes cost little more
+than one. Source: equations (2'), (20), (21).
 """
 
 from __future__ import annotations
@@ -55,14 +55,14 @@ from glissando.solver.outcome import Outcome
 from glissando.solver.static_equations import linearize_static, static_factors
 
 _DOFS = slice(0, STATIC_DOF)
-_BLOCKS = 6.0  # square blocks of numbers that are kept for a node of a shape
+_BLOCKS = 6.0  # square blocks that are stored for a node of a shape
 _SOFT_ITERATIONS = 8
-_NAMED = 10  # shapes of many that a warning names
+_NAMED = 10  # most shapes that a warning names
 _ASTRAY = (
     "Try a robust loss, more iterations (max_iterations), or leave out readings that disagree; "
     "where readings leave a shape open, sample_static draws those that explain them."
 )
-_FEW = 2  # readings of a shape of which neither refutes the other
+_FEW = 2  # most readings of a shape none of which can be refuted by the others
 
 
 def estimate_static(
@@ -75,18 +75,18 @@ def estimate_static(
 ) -> StaticPosterior:
     """Posterior of independent static shapes, solved together.
 
-    The answer of each is that of `estimate` at a single moment, which also takes over shapes that
-    this way does not lead to, and those of which others may refute a reading. With a mechanical
-    prior covariances are those of the whole Hessian (31), which `estimate` has without its
-    curvature. They are those about the shape that is found; where the readings leave others far
-    from it, `sample_static` draws them all.
+    The estimate of each is that of `estimate` at a single time, whose solver also takes over shapes
+    that do not converge here and those with readings that the others may refute. With a mechanical
+    prior covariances are from the whole Hessian (31), of which `estimate` omits the curvature.
+    Covariances describe the neighbourhood of the shape that is found; where the readings allow
+    shapes far from it, `sample_static` draws from all of them.
 
     Args:
         model: The robot, whose sensor parameters must be known, or the prior of its shapes.
         arclength: Nodes (N,) of all shapes, metres.
         readings: Readings of each sensor, their `time` the number of the shape.
-        count: How many shapes there are; one more than the largest number unless given.
-        options: When to stop.
+        count: Number of shapes; if None, one more than the largest number in the readings.
+        options: Stopping criteria.
 
     Raises:
         OutsideGridError: Shapes are not numbered 0, 1, 2, …
@@ -94,8 +94,8 @@ def estimate_static(
         UnobservableError: Prior and readings leave a direction of a shape undetermined.
 
     Warns:
-        NotConvergedWarning: Shapes were not found; it names them, and `outcomes` says which.
-        FalseConfidenceWarning: Many readings contradict shapes that it names.
+        NotConvergedWarning: Some shapes did not converge; `outcomes` of the result lists all.
+        FalseConfidenceWarning: Many readings contradict some shapes, which the message names.
 
     >>> from glissando import CoilReadings, load_robot
     >>> robot = load_robot("tdcr466")
@@ -134,7 +134,7 @@ def estimate_static(
 
 
 def _contradicted(prior: Prior, located: LocatedReadings, state: State) -> NDArray[np.bool_]:
-    """Which shapes (S,) have a reading that is unlikely, that no loss forgives, and some others."""
+    """Mask (S,) of shapes with an unlikely reading without a loss, and others to refute it."""
     count = located.grid.time.size
     out, read = np.zeros(count, dtype=bool), np.zeros(count, dtype=np.intp)
     for stream, rows, batch in measurement_factors(prior, located, state, state):
@@ -155,7 +155,7 @@ def _complete(
     cov: Array,
     cross: Array,
 ) -> tuple[dict[int, SolveReport], dict[str, list[int]]]:
-    """Estimate by itself each shape that is left, in place; how these were found, rows refused."""
+    """Estimate each shape in `left` by itself, in place; return reports and refused rows."""
     reports, refused = dict[int, SolveReport](), defaultdict[str, list[int]](list)
     for k in np.flatnonzero(left):
         try:
@@ -172,9 +172,9 @@ def _complete(
 
 
 def _warn(reports: Mapping[int, SolveReport]) -> None:
-    """Warn of shapes that were not found, and of those whose readings contradict them, by number.
+    """Warn of shapes that did not converge, and of those that readings contradict, by number.
 
-    What the first of each kind has to say is said of it, once for all of them.
+    Each warning quotes the report of its first shape.
     """
     astray = [k for k, report in reports.items() if not report.converged]
     if astray:
@@ -188,7 +188,7 @@ def _warn(reports: Mapping[int, SolveReport]) -> None:
 
 
 def _numbered(shapes: Sequence[int]) -> str:
-    """The numbers of shapes as the beginning of a sentence."""
+    """Beginning of a sentence on shapes, with their numbers."""
     if len(shapes) == 1:
         return f"Shape {shapes[0]} is"
     shown, more = ", ".join(map(str, shapes[:_NAMED])), len(shapes) - _NAMED
@@ -196,7 +196,7 @@ def _numbered(shapes: Sequence[int]) -> str:
 
 
 def _count(readings: Sequence[Readings], nodes: int, count: int | None) -> int:
-    """How many shapes there are, of whole numbers, which fit into memory."""
+    """Number of shapes; checks that their numbers are whole and that they fit into memory."""
     for r in readings:
         require_whole(r.time, r.label)
     if count is not None and (not isinstance(count, int | np.integer) or count < 1):
@@ -212,7 +212,7 @@ def _count(readings: Sequence[Readings], nodes: int, count: int | None) -> int:
 
 
 def _together(prior: Prior, located: LocatedReadings, options: SolverOptions) -> Solved:
-    """All shapes from where they start; where that breaks down, all are left.
+    """Solve for all shapes together; where that breaks down, all are marked as not solved.
 
     Raises:
         SensorError: Readings lie far beyond the robot's reach.
@@ -243,7 +243,7 @@ def _require_reach(prior: Prior, located: LocatedReadings) -> None:
 
 
 def _first_shapes(prior: Prior, located: LocatedReadings) -> State:
-    """Shapes to start from: at rest, or where soft shear and convex losses lead from there."""
+    """Shapes to start from: at rest, or solved from rest with soft shear and convex losses."""
     soft, start = bending_easily(prior, located), prior.rest_state(located.grid)
     convex = with_convex_losses(located)
     if convex is not located:
@@ -257,7 +257,7 @@ def _first_shapes(prior: Prior, located: LocatedReadings) -> State:
 def _alone(
     prior: Prior, arclength: Array, readings: Sequence[Readings], k: int, options: SolverOptions
 ) -> Posterior:
-    """The estimate of shape k by itself, at a single moment."""
+    """Posterior of shape k by itself, as a recording of a single time."""
     own = [r.select(r.time == k) for r in readings]
     own = [r.changed(time=np.zeros(len(r))) for r in own]
     if isinstance(prior, MechanicalPrior):
@@ -267,7 +267,7 @@ def _alone(
 
 
 def _node_blocks(one: Posterior) -> tuple[Array, Array]:
-    """Covariances (N, 12, 12) of the nodes of a single moment, and of neighbours (N−1, 12, 12)."""
+    """Covariances (N, 12, 12) of the nodes of a single time, and of neighbours (N−1, 12, 12)."""
     every = np.arange(one.grid.arclength.size)
     whole = one.marginals.cov[0].reshape(every.size, one.state.dof, every.size, -1)
     whole = whole[:, _DOFS, :, _DOFS]
@@ -277,9 +277,10 @@ def _node_blocks(one: Posterior) -> tuple[Array, Array]:
 def _with_curvature(
     prior: Prior, located: LocatedReadings, state: State, cov: Array, cross: Array
 ) -> tuple[Array, Array]:
-    """Covariances as `node_covariances` gives, of the whole Hessian at a state with those found.
+    """Covariances as from `node_covariances`, of the whole Hessian at a state.
 
-    A shape whose Hessian is singular by rounding keeps its own: damped they would be too small.
+    A shape whose Hessian is singular by rounding keeps the given covariances: those of a damped
+    Hessian would be too small.
     """
     here = linearize_static(prior, located, state)
     step = here.cholesky.solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)

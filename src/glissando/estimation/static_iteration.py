@@ -1,4 +1,4 @@
-"""Gauss–Newton steps of many static shapes together. Source: equations (2'), (20), (21)."""
+"""Gauss–Newton iteration of many static shapes together. Source: equations (2'), (20), (21)."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from glissando.solver.static_equations import StaticEquations, linearize_static
 from glissando.solver.step_search import ROUNDING, WORTHWHILE
 
 _DOFS = slice(0, STATIC_DOF)
-_SHARES = (1.0, 0.3, 0.1)  # of a bent step, tried in turn
+_SHARES = (1.0, 0.3, 0.1)  # parts of a bent step, tried in turn
 _MOST = 2.0 * np.pi  # rad between nodes, beyond which readings there may have no weights
 
 Solved = tuple[State, tuple[Array, Array], NDArray[np.bool_]]
-"""States (S, N), their covariances and those of neighbours, and which shapes are left."""
+"""States (S, N), covariances of nodes and of neighbours, and the mask of shapes not solved."""
 
 
 def iterate(
@@ -34,22 +34,22 @@ def iterate(
     options: SolverOptions,
     noise: Sequence[Array] = (),
 ) -> Solved:
-    """Gauss–Newton steps of all shapes, straight on or bent: states, marginals, and who is left.
+    """Iterate Gauss–Newton steps of all shapes, straight or bent.
 
-    A shape that neither way brings down is left, at rest, to those who can shorten and damp steps,
-    and so is one whose cost is implausible, or whose system is singular by rounding to the end:
-    they start elsewhere as well.
+    A shape whose cost neither kind of step lowers is reset to rest and marked as not solved, for a
+    solver that damps steps and tries other starts. Shapes with an implausible cost, or a system
+    that is singular by rounding at the end, are marked as well.
 
     Args:
         prior: The prior.
         located: Readings on a grid whose times are the numbers of the shapes.
         start: Shapes (S, N) to start from.
-        options: When to stop.
-        noise: What is added to whitened residuals, see `linearize_static`.
+        options: Stopping criteria.
+        noise: Noise to add to whitened residuals, see `linearize_static`.
 
     Raises:
         UnobservableError: Prior and readings leave a direction of a shape undetermined (or numpy's
-            LinAlgError: a shape went so far off that it has no weights).
+            LinAlgError: a shape is too far off for weights to exist).
     """
     grid = located.grid
     here = linearize_static(prior, located, _tame(grid, start, prior.rest_state(grid)), noise)
@@ -83,7 +83,7 @@ def iterate(
 
 
 def _numbers_read(located: LocatedReadings) -> NDArray[np.intp]:
-    """How many numbers were read of each shape (S,)."""
+    """Number of scalar readings of each shape (S,)."""
     out = np.zeros(located.grid.time.size, dtype=np.intp)
     for r in located.streams:
         out += r.row_count * np.bincount(r.time.astype(np.intp), minlength=out.size)
@@ -94,8 +94,8 @@ def node_covariances(here: StaticEquations, end: State) -> tuple[Array, Array]:
     """Covariances of nodes (S, N, 12, 12), and of neighbours (S, N−1, 12, 12).
 
     Args:
-        here: Shapes where they are linearised; their factor is of no use afterwards.
-        end: Where the last step led, in whose axes they are.
+        here: Linearised shapes, whose factor is overwritten.
+        end: States after the last step, in whose axes the covariances are.
     """
     marginals, (count, n_count) = here.cholesky.marginals(consume=True), here.rhs.shape[:2]
     cov = marginals.cov.reshape(count, n_count, STATIC_DOF, STATIC_DOF)
@@ -111,7 +111,7 @@ def node_covariances(here: StaticEquations, end: State) -> tuple[Array, Array]:
 def _worthwhile(
     here: StaticEquations, stepped: StaticEquations, promise: Array
 ) -> NDArray[np.bool_]:
-    """Which costs fell by a fair share of half the `promise` (S,), if that is worth anything."""
+    """Mask (S,) of costs that fell by a share of `promise` / 2, or that only rounding can lower."""
     cost = here.costs(here)
     gain = cost - here.costs(stepped)
     nothing = 0.5 * promise < ROUNDING * (1.0 + cost)
@@ -119,13 +119,13 @@ def _worthwhile(
 
 
 def _tame(grid: Grid, state: State, before: State) -> State:
-    """The shapes (S, N), those that turn too far between two nodes as they were before."""
+    """The shapes (S, N), with those that turn too far between two nodes replaced by `before`."""
     widest = np.max(np.diff(grid.arclength), initial=0.0)
     turn = widest * np.max(np.linalg.norm(state.strain[..., 3:], axis=-1), axis=1)
-    return _chosen(~(turn < _MOST), before, state)  # or is not a number
+    return _chosen(~(turn < _MOST), before, state)  # also if it is NaN
 
 
 def _chosen(where: NDArray[np.bool_], one: State, other: State) -> State:
-    """The state that is `one` in the shapes `where` (S,) says so, and `other` in the rest."""
+    """State with `one` in the shapes of the mask `where` (S,), and `other` in the rest."""
     pairs = zip(one.fields(), other.fields(), strict=True)
     return State(*(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in pairs))

@@ -1,4 +1,4 @@
-"""The posterior of static shapes: pose and strain anywhere on each, and what acts there."""
+"""Posterior of static shapes: pose, strain and wrenches at any arclength of each."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class StaticPosterior(ShortRepr):
     """Posterior of S static shapes: pose and strain at any arclength.
 
     Attributes:
-        prior: What was believed before any reading.
+        prior: The prior of the shapes.
         grid: Arclength nodes (N,); its times are the shapes' numbers.
         state: Mean (S, N) at the nodes.
         cov: Covariances (S, N, 12, 12) of nodes.
         cross: Covariances (S, N−1, 12, 12) of neighbouring nodes.
-        outcomes: How the solver ended for each shape.
-        refused: Rows of each stream that were not used, as the others refute them.
+        outcomes: Outcome of the solver for each shape.
+        refused: Rows of each stream that were not used, as the other readings refute them.
     """
 
     prior: Prior
@@ -52,11 +52,11 @@ class StaticPosterior(ShortRepr):
 
     @property
     def converged(self) -> NDArray[np.bool_]:
-        """Which shapes (S,) were found."""
+        """Mask (S,) of the shapes that converged."""
         return np.array([outcome.sound for outcome in self.outcomes])
 
     def at(self, arclength: ArrayLike, shape: ArrayLike) -> StateEstimate:
-        """State with covariance; velocity is zero, and sure, as shapes hold still.
+        """State with covariance at points; velocity and its covariance are zero.
 
         Args:
             arclength: Metres; broadcast with `shape`.
@@ -71,33 +71,33 @@ class StaticPosterior(ShortRepr):
     def wrench(
         self, arclength: ArrayLike, shape: ArrayLike, *, frame: str = "body"
     ) -> WrenchEstimate:
-        """Internal wrench at points of shapes, as `Posterior.wrench` of moments."""
+        """Internal wrench at points of shapes, see `Posterior.wrench`."""
         prior = require_mechanics(self.prior, frame)
         return internal_wrench(prior, arclength, self.at(arclength, shape), frame)
 
     def load(
         self, arclength: ArrayLike, shape: ArrayLike, *, frame: str = "body"
     ) -> WrenchEstimate:
-        """The unknown wrench at the tip or at one of the prior's `points`, as `Posterior.load`."""
+        """External wrench at the tip or at one of the prior's `points`, see `Posterior.load`."""
         s, k = self._queried(arclength, shape)
         which = k.astype(np.intp)
         return point_loads(self.prior, self.grid, self.state, self._spread, s, which, frame)
 
     def _queried(self, arclength: ArrayLike, shape: ArrayLike) -> tuple[Array, Array]:
-        """Places and numbers of shapes of a query, which broadcast and are on the grid."""
+        """Arclengths and shape numbers of a query, broadcast and checked to be on the grid."""
         s, k = points_of(arclength, shape)
         require_whole(k.ravel(), "Query", self.grid.time.size)
         self.grid.require(s.ravel(), k.ravel(), "Query")
         return s, k
 
     def _spread_of_states(self, nodes: Index, slopes: Array, left: Array) -> Array:
-        """Covariance (M, 18, 18) of states, whose velocity is sure."""
+        """Covariance (M, 18, 18) of states, with that of velocity zero."""
         cov = np.zeros((len(nodes), DOF, DOF))
         cov[:, _DOFS, _DOFS] = self._spread(nodes, slopes[:, _DOFS], left[:, _DOFS, _DOFS])
         return cov
 
     def _spread(self, nodes: Index, slopes: Array, left: Array) -> Array:
-        """Covariance (M, r, r) by slopes (M, r, c, ·) of a node, or of it and the next (M, c)."""
+        """Covariance (M, r, r) from Jacobians (M, r, c, ·) by one node or two neighbours (M, c)."""
         k, n = np.divmod(nodes[:, 0], self.grid.arclength.size)
         own = slopes[..., :STATIC_DOF].reshape(*slopes.shape[:2], -1)
         joint = self.cov[k, n]
@@ -109,7 +109,7 @@ class StaticPosterior(ShortRepr):
 
 
 def require_whole(number: Array, what: str, count: int | None = None) -> None:
-    """Raise OutsideGridError unless all numbers of shapes are whole, from 0 up to `count`."""
+    """Raise OutsideGridError unless all shape numbers are whole, at least 0 and below `count`."""
     wrong = np.flatnonzero((number != np.round(number)) | (number < 0.0))
     if wrong.size:
         raise OutsideGridError(

@@ -1,7 +1,7 @@
-"""Shapes that could have given the readings of one moment, where no Gaussian describes them.
+"""Samples of static shapes given the readings of one time, where no Gaussian describes them.
 
-A robot that bends widely and is read at few places may have had shapes far apart, along a curve or
-in several places, of which an estimate finds one and its covariance describes the neighbourhood.
+If a robot bends widely and has sensors at few places, shapes far apart may explain the readings,
+along a curve or in several modes. An estimate finds one, and its covariance is local to it.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from glissando.solver.located_readings import LocatedReadings, locate
 from glissando.solver.static_equations import linearize_static
 
 _OPTIONS = SolverOptions(15, tolerance=1.0)
-_TOGETHER = 100  # shapes that are sought at once
-_TRIES = 60  # draws for each shape that is asked for, at most
-_RARE = 0.1  # share of draws that lead to a shape, below which some start at those found
+_TOGETHER = 100  # shapes that are solved at once
+_TRIES = 60  # most draws for each requested shape
+_RARE = 0.1  # share of draws that lead to a shape, below which some start at shapes found before
 _LARGEST = 10_000
 
 
@@ -41,29 +41,29 @@ def sample_static(
     size: int = 100,
     rng: np.random.Generator | None = None,
 ) -> State:
-    """Shapes drawn from what prior and readings say of one moment.
+    """Draw static shapes from the posterior given the readings of one time.
 
-    Each is the most likely shape after the errors of prior and readings were drawn anew, found from
-    a shape of the prior (randomised maximum likelihood; Oliver, He and Reynolds, 1996). Where
-    everything is linear these are draws from the posterior. Where it is not they come close to
-    that, and lie wherever a shape explains the readings, as `estimate` and `estimate_static` do not
-    claim: their covariance is that about the one shape they find. Draws from which the search ends
-    at no plausible shape are drawn again; where most do, half are sought from shapes found before.
+    Each draw is the most likely shape after errors of prior and readings are drawn, found from a
+    shape drawn from the prior (randomised maximum likelihood; Oliver, He and Reynolds, 1996). In a
+    linear problem these are draws from the posterior. In a nonlinear one they approximate it and
+    cover all shapes that explain the readings, whereas the covariance of `estimate` and
+    `estimate_static` describes only the neighbourhood of the shape they find. Draws that lead to no
+    plausible shape are repeated; where most do, half of the rounds start from shapes found before.
 
     Args:
-        model: The robot, whose sensor parameters must be known, or the prior of its shapes; none of
-            a rod under loads.
+        model: The robot, whose sensor parameters must be known, or the prior of its shapes; not a
+            mechanical prior.
         arclength: Nodes (N,), metres.
-        readings: Readings of each sensor, all of the same moment, whatever their times.
-        size: How many shapes to draw.
-        rng: Source of all chance; always the same unless given.
+        readings: Readings of each sensor, all of the same shape, whatever their times.
+        size: Number of shapes to draw.
+        rng: Random number generator; `numpy.random.default_rng(0)` if None.
 
     Returns:
         Shapes (size, N) at rest.
 
     Raises:
-        GlissandoError: The size is not from 1 to 10,000, the prior knows loads, or hardly any draw
-            leads to a shape.
+        GlissandoError: The size is not from 1 to 10,000, the prior is mechanical, or hardly any
+            draw leads to a shape.
         SensorError: A sensor reads a velocity, or slides in a channel.
         UnobservableError: Prior and readings leave a direction of a shape undetermined.
 
@@ -92,7 +92,7 @@ def sample_static(
 def _collected(
     prior: Prior, located: LocatedReadings, size: int, rng: np.random.Generator
 ) -> State:
-    """Shapes (size, N) from as many rounds of draws as it takes.
+    """Shapes (size, N) from as many rounds of draws as are necessary.
 
     Raises:
         GlissandoError: Hardly any draw leads to a shape.
@@ -115,7 +115,7 @@ def _collected(
 
 
 def _copies(arclength: ArrayLike, readings: Sequence[Readings], count: int) -> LocatedReadings:
-    """The readings once for each of as many shapes."""
+    """The readings, repeated for each of `count` shapes."""
     copied = []
     for r in readings:
         rows = np.tile(np.arange(len(r)), count)
@@ -126,9 +126,9 @@ def _copies(arclength: ArrayLike, readings: Sequence[Readings], count: int) -> L
 def _drawn(
     prior: Prior, located: LocatedReadings, rng: np.random.Generator, known: State | None
 ) -> tuple[State, NDArray[np.bool_]]:
-    """Shapes (S, N) for errors drawn anew, and which (S,) were not found.
+    """Shapes (S, N) for newly drawn errors, and the mask (S,) of those not found.
 
-    The search begins at shapes of the prior, or at some of those that are `known` (·, N).
+    The search starts at shapes drawn from the prior, or at some of the shapes `known` (·, N).
 
     Raises:
         UnobservableError: Prior and readings leave a direction of a shape undetermined.

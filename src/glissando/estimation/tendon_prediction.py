@@ -1,4 +1,4 @@
-"""What tendons alone predict: shape, strain and their covariance along the robot, and the tip."""
+"""Prediction from tendons alone: shape and strain with covariance along the robot, and the tip."""
 
 from __future__ import annotations
 
@@ -23,26 +23,25 @@ from glissando.model.tendons.tendon_rod import TendonRod, mechanical, replicated
 from glissando.model.tendons.tendons import Tendons
 
 _VELOCITY = slice(12, 18)
-_BEYOND = 1.5  # times as far as tendons were pulled where their numbers were learned
-_NOTICED = 0.1  # of the claimed standard deviation, by which weight moves a robot
+_BEYOND = 1.5  # times the largest pull in the data from which a robot was learned
+_NOTICED = 0.1  # share of the stated standard deviation by which weight may move a robot
 
 
 def predict(
     robot: Robot, time: Array, displacement: Array, arclength: Array | None = None
 ) -> StateEstimate:
-    """The robot's motion from commands of its tendons alone.
+    """Predict the robot's motion from commands of its tendons alone.
 
-    The robot is in static equilibrium at every time, without loads from outside and without its own
-    weight. Covariance is that of [tendons] and [base]: displacements that differ from the commands,
-    where in its play each tendon was at first, moments that the model lacks, how well the numbers
-    of a learned robot are known, what a marker alone left open of them, and how well where the base
-    stands.
+    The robot is assumed in static equilibrium at every time, without external loads and weight. The
+    covariance is that stated in [tendons] and [base]: errors of displacements, the unknown initial
+    position of each tendon in its play, moments that the model lacks, the uncertainty of a learned
+    robot's parameters, including what a marker alone left undetermined, and that of the base.
 
     Args:
         robot: Robot with [mechanics] and [tendons].
         time: Increasing times (M,), s.
         displacement: Displacements (M, T), positive when pulled, m.
-        arclength: Where (N,), m; the robot's nodes unless given.
+        arclength: Arclengths (N,), m; the robot's nodes if None.
 
     Returns:
         States and covariances, shape (M, N); velocities from the slope of the commands.
@@ -53,7 +52,7 @@ def predict(
 
     Warns:
         FalseConfidenceWarning: The robot's weight, which is left out, bends it noticeably, or a
-            tendon is pulled farther than where its numbers were learned.
+            tendon is pulled much farther than in the data from which it was learned.
     """
     rod, places, time, displacement = _checked(robot, time, displacement, arclength)
     shape = equilibrium(rod, displacement=rod.tendons.effective(displacement))
@@ -77,7 +76,7 @@ def predict(
 def _checked(
     robot: Robot, time: Array, displacement: Array, arclength: Array | None
 ) -> tuple[TendonRod, Array, Array, Array]:
-    """The rod, places (N,), times (M,) and displacements (M, T), if they can be predicted from."""
+    """Check the arguments; the rod, places (N,), times (M,) and displacements (M, T)."""
     places = robot.arclength_nodes if arclength is None else np.asarray(arclength, dtype=float)
     places, time = np.atleast_1d(places), np.atleast_1d(np.asarray(time, dtype=float))
     displacement = np.atleast_2d(np.asarray(displacement, dtype=float))
@@ -100,7 +99,7 @@ def _checked(
 
 
 def _off(other: Equilibrium, shape: Equilibrium, node: NDArray[np.intp]) -> Array:
-    """How far (M, N, 12) poses and strains of a replicate are from the robot's at nodes (N,)."""
+    """Deviations (M, N, 12) of a replicate's poses and strains from the robot's at nodes (N,)."""
     turned = se3.log(se3.inverse(shape.pose()[:, node]) @ other.pose()[:, node])
     return np.concatenate([turned, _strain(other, node) - _strain(shape, node)], axis=-1)
 
@@ -117,7 +116,7 @@ def _shapes(
     displacement: Array,
     near: Equilibrium,
 ) -> Iterator[tuple[Robot, Equilibrium]]:
-    """Replicates of a robot, and the shapes that each is pulled into, near the robot's."""
+    """Replicates of a robot, and the equilibria of each, started at those of the robot."""
     for replicate in replicated(robot, replicates):
         rod = tendon_rod(replicate, nodes)
         pulled = rod.tendons.effective(displacement)
@@ -125,12 +124,12 @@ def _shapes(
 
 
 def _jackknife(off: list[Array]) -> Array:
-    """The covariance (…, d, d) that n replicates show by what each is off (…, d)."""
+    """Jackknife covariance (…, d, d) from the deviations (…, d) of n replicates."""
     return (len(off) - 1) / max(len(off), 1) * _squares(off)
 
 
 def _squares(off: list[Array]) -> Array:
-    """The sum (…, d, d) of the squares of deviations (…, d)."""
+    """Sum (…, d, d) of the outer products of deviations (…, d)."""
     if not off:
         return np.zeros(())
     every = np.stack(off, axis=-1)
@@ -138,7 +137,7 @@ def _squares(off: list[Array]) -> Array:
 
 
 def _warn_beyond(tendons: Tendons, displacement: Array) -> None:
-    """Warn where tendons are pulled farther (M, T) than where their numbers were learned."""
+    """Warn where tendons are pulled much farther (M, T) than in the data they were learned from."""
     most = np.max(displacement, axis=0, initial=0.0)
     beyond = np.flatnonzero(most > _BEYOND * tendons.learned_to + tendons.std)
     if beyond.size:
@@ -155,11 +154,11 @@ def _warn_beyond(tendons: Tendons, displacement: Array) -> None:
 
 
 def warn_of_weight(robot: Robot, std: float) -> None:
-    """Warn where the weight in [mechanics] moves the robot by a share of what is claimed.
+    """Warn where the weight in [mechanics] moves the robot by a share of the stated std.
 
     Args:
         robot: Robot with [mechanics] and [tendons].
-        std: What positions are claimed to, m.
+        std: Standard deviation that is stated for positions, m.
     """
     prior, grid = mechanical(robot), Grid(robot.arclength_nodes, np.zeros(1))
     light = replace(prior, mechanics=replace(prior.mechanics, gravity=np.zeros(3)))
@@ -176,15 +175,16 @@ def warn_of_weight(robot: Robot, std: float) -> None:
 
 
 def predict_tip(robot: Robot, displacement: Array, stream: str) -> tuple[Array, Array]:
-    """Positions of a marker at the tip as its tracker sees them.
+    """Predict positions of a marker at the tip in the frame of its tracker.
 
     Args:
         robot: Robot with [mechanics] and [tendons].
         displacement: Displacements (M, T) in the order of time, positive when pulled, m.
-        stream: Stream of the marker, whose sensor parameters say where it and its tracker are.
+        stream: Stream of the marker, whose sensor parameters give its mount and the tracker's
+            frame.
 
     Returns:
-        Positions (M, 3) in the tracker's frame, and covariances (M, 3, 3) of readings of them.
+        Positions (M, 3) in the tracker's frame, and covariances (M, 3, 3) of readings of these.
     """
     rod = tendon_rod(robot, np.zeros(0))
     _warn_beyond(rod.tendons, np.atleast_2d(displacement))
@@ -215,7 +215,7 @@ def _velocity(
         return np.zeros(by_pose.shape[:3]), np.zeros((*by_pose.shape[:2], 6, 6))
     pulled = rod.tendons.effective(displacement)
     speed = np.gradient(pulled, time, axis=0)
-    combs = np.eye(3)[np.arange(len(time)) % 3]  # one of each three neighbours, to see its weight
+    combs = np.eye(3)[np.arange(len(time)) % 3]  # one of every three neighbours, for its weight
     variance = rod.tendons.std**2 * np.sum(np.gradient(combs, time, axis=0) ** 2, axis=1)
     velocity = (by_pose @ speed[:, None, :, None])[..., 0]
     return velocity, variance[:, None, None, None] * by_pose @ np.swapaxes(by_pose, -1, -2)

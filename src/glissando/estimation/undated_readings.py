@@ -1,8 +1,9 @@
-"""Online: delayed readings of a window that was read at one time, which shows no motion.
+"""Online: delayed readings of a window with readings at a single time, thus without motion.
 
-There a delay has no slope to be seen by, and a reading taken any time before would count as one
-taken then. What the state may have moved by since, by the prior alone, is noise of such a reading:
-with z = h(x(t − d)), the covariance of x(t) − x(t − d) for the root mean square of d.
+Without motion readings have no derivative by a delay, and one taken any time earlier would count as
+taken at that time. The possible motion of the state since, by the prior alone, is added as noise of
+such a reading: with z = h(x(t − d)), the covariance of x(t) − x(t − d) for the root mean square of
+d.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from glissando.solver.block_tridiagonal import factor
 from glissando.solver.linearize import linearize
 from glissando.solver.located_readings import locate
 
-_BRIEF = 0.01  # s: in less a robot moves in proportion, and differences lose digits
+_BRIEF = 0.01  # s: over less the motion is proportional to time, and differences lose digits
 
 
 def shows_motion(streams: Sequence[Readings]) -> bool:
@@ -32,13 +33,13 @@ def shows_motion(streams: Sequence[Readings]) -> bool:
 
 
 def moved_within(prior: Prior, arclength: Array, state: State, lag: float) -> Array:
-    """Covariance (N · dof, N · dof) of what the nodes move by in a time, by the prior alone.
+    """Covariance (N · dof, N · dof) of the motion of nodes within a time, by the prior alone.
 
     Args:
         prior: The prior.
         arclength: Arclength nodes (N,), m.
-        state: Nodes (K, N), at the last of which it is linearised.
-        lag: Seconds.
+        state: Nodes (K, N), the last of which is the linearisation point.
+        lag: Duration, s.
     """
     lasts = max(lag, _BRIEF, prior.least_step(arclength))
     grid, both = Grid(arclength, [0.0, lasts]), state.take(np.array([-1, -1]))
@@ -48,11 +49,11 @@ def moved_within(prior: Prior, arclength: Array, state: State, lag: float) -> Ar
 
 
 def widened(factors: Factors, moves: Array) -> Factors:
-    """Factors of readings, their noise with what the states they read may have moved by.
+    """Factors of readings with the motion of their states added to their noise.
 
     Args:
-        factors: Linearised at nodes (K, N), which move alike at all times.
-        moves: Covariance (N, dof, N, dof) of the move of all numbers of a time's nodes.
+        factors: Factors linearised at nodes (K, N), whose motion is the same at all times.
+        moves: Covariance (N, dof, N, dof) of the motion of a time's nodes.
     """
     terms, own = factors.terms, factors.dofs
     by_node = np.einsum("mij,mjcd->micd", terms.sqrt_info, factors.jacobian)

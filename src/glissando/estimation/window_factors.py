@@ -1,4 +1,4 @@
-"""Factors of a window's intervals, linearised where its nodes are and summed. Source: (19)."""
+"""Factors of a window's intervals, linearised at its nodes and summed. Source: (19)."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class WindowFactors:
     """The factors of a prior and of readings with uncertain `parameters` of their sensors.
 
     Attributes:
-        prior: What is believed of the motion.
-        dating: What dates the readings of streams with an estimated delay, if there are any.
-        held: The readings that were summed last.
-        terms: These as they were linearised.
+        prior: The prior of the motion.
+        dating: Dating of the readings of streams with an estimated delay, if there are any.
+        held: Readings that were last summed.
+        terms: Linearisation of these readings.
     """
 
     held: HeldReadings
@@ -44,21 +44,21 @@ class WindowFactors:
         summed = ["white_noise"] if type(prior) is WhiteNoisePrior else []
         load_kernels(prior, "static_steps", "window", *summed)
         self.prior, self._arclength, self._parameters = prior, arclength, tuple(parameters)
-        self._believed = prior  # without the transport of rolls beside some readings
+        self._believed = prior  # without transport by roll, once readings resolve the axes
         self.dating: DelayDating | None = None
         self.terms: list[LinearizedReadings] = []
         if type(prior) is WhiteNoisePrior:
             self._along = prior.arclength_densities(arclength)
 
     def with_prior(self, prior: Prior) -> WindowFactors:
-        """The same with another prior."""
+        """A copy with another prior."""
         out = copy(self)
         if prior is not self.prior:
             out.prior = out._believed = prior
         return out
 
     def takes_as_row(self, readings: Readings) -> bool:
-        """Whether readings may come as rows, with the streams of others."""
+        """Whether readings may be stored as rows, together with those of other streams."""
         fits = type(self.prior) is WhiteNoisePrior and self.dating is None
         known = all(readings.name not in p.streams for p in self._parameters)
         return fits and known and is_compiled(readings) and not readings.resolves_axes
@@ -66,7 +66,7 @@ class WindowFactors:
     def add(
         self, nodes: Nodes, grid: Grid, readings: HeldReadings, builder: NormalEquationsBuilder
     ) -> None:
-        """Linearise the intervals of nodes on a grid and add their factors up."""
+        """Linearise the intervals of nodes on a grid and sum their factors."""
         self.terms, self.held = [], readings
         self._keep_axes(readings.streams)
         prior, state = self._believed, nodes.state
@@ -85,7 +85,7 @@ class WindowFactors:
             self._add_streams(readings.streams, grid, nodes, builder)
 
     def _keep_axes(self, streams: Sequence[Readings]) -> None:
-        """From streams on that resolve the body's axes, errors of the prior keep theirs."""
+        """Omit transport by roll from the prior, once a stream resolves the body's axes."""
         if self._believed is self.prior and any(r.resolves_axes for r in streams):
             self._believed = without_roll_transport(self.prior)
             if type(self._believed) is WhiteNoisePrior:
@@ -98,7 +98,7 @@ class WindowFactors:
         nodes: Nodes,
         builder: NormalEquationsBuilder,
     ) -> None:
-        """Add the streams that do not come as rows, and the drift of the sensor parameters."""
+        """Add the streams that are not stored as rows, and the drift of the sensor parameters."""
         known = self._parameters, nodes.parameters
         placed = [place_in_channel(r, self.prior, grid, nodes.state) for r in streams]  # (M8)
         motion = None if self.dating is None else self.dating.motion
@@ -119,10 +119,10 @@ class WindowFactors:
             builder.accumulate_drift(*located.parameters.process.drift(nodes.parameters))
 
     def _moving(self, factors: Factors, nodes: Nodes) -> Factors:
-        """Factors of a motion that moves with the delays, if there are any."""
+        """Factors of a motion that moves with the estimated delays, if there are any."""
         return factors if self.dating is None else self.dating.moving(factors, nodes)
 
     def _undated(self, factors: Factors, nodes: Nodes, lag: float) -> Factors:
-        """Readings of a window that shows no motion, as unsure as a delay of `lag` s makes them."""
+        """Readings of a window without motion, with noise for a delay of `lag` s added."""
         moves = moved_within(self.prior, self._arclength, nodes.state, lag)
         return widened(factors, moves.reshape(2 * [self._arclength.size, nodes.state.dof]))

@@ -13,14 +13,14 @@ from glissando.model.state import State
 
 @dataclass(frozen=True)
 class Nodes:
-    """The time nodes of a window: where they are linearised, and the step from there.
+    """Time nodes of a window: linearisation points, and the step to the estimate.
 
     Attributes:
-        time: Times (K,).
-        state: Linearisation point (K, N).
-        parameters: That of the sensor parameters (K, E).
+        time: Times (K,), s.
+        state: Linearisation points (K, N).
+        parameters: Linearisation points of the sensor parameters (K, E).
         step: Step (K, D) that leads to the estimate.
-        own: How the state (K, N, dof) moves with a delay, per second; see `delays`.
+        own: Derivative (K, N, dof) of the state by a delay, per second; see `delays`.
     """
 
     time: Array
@@ -38,7 +38,7 @@ class Nodes:
         return Nodes(self.time[rows], self.state.take(rows), *parts)
 
     def followed_by(self, time: float, state: State, parameters: Array) -> Nodes:
-        """These nodes, then one at a time with a state (N,) and sensor parameters (E,)."""
+        """These nodes, followed by one at a time with state (N,) and sensor parameters (E,)."""
         fields = zip(self.state.fields(), state.fields(), strict=True)
         return Nodes(
             np.append(self.time, time),
@@ -61,13 +61,13 @@ class Nodes:
 
     @cached_property
     def newest(self) -> tuple[State, Array]:
-        """The estimate of the newest: its state (N,) and sensor parameters (E,)."""
+        """State (N,) and sensor parameters (E,) of the newest node's estimate."""
         last, of_nodes = self.state.take(-1), self.state.numbers
         step = self.step[-1, :of_nodes].reshape(len(last.pose), -1)
         return last.retract(step), self.parameters[-1] + self.step[-1, of_nodes:]
 
     def at_estimate(self, first: int) -> Nodes:
-        """The nodes with their estimates as linearisation points from `first` on."""
+        """The nodes, from `first` on with their estimates as linearisation points."""
         if not self.step[first:].any():
             return self
         step, (state, parameters) = self.step.copy(), self.estimate

@@ -1,7 +1,8 @@
-"""A sliding window on its way: node after node with what was read, through pauses and restarts.
+"""Steps of a sliding window: node after node with new readings, through pauses and restarts.
 
-While nothing was read there is but one node, at rest. In a pause nodes lie closer than the times
-asked for, and belief grows until a robot at rest is known as well; from then on it stays that.
+Before the first reading there is only one node, at rest. In a pause nodes lie closer than the
+requested times, and the covariance grows until it reaches that of a robot at rest; then the window
+returns to one node at rest.
 """
 
 from __future__ import annotations
@@ -28,26 +29,26 @@ from glissando.model.grid import Grid
 from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
 
-_MERGED = 0.01  # of the longest interval: a node as close to the newest one would be singular
-_BACK = 2.0  # s before the oldest node: a clock that was set, not a reading that came late
-_ROUNDED = 5e-4  # of the least step, by which times round: less than the prior allows it
-_MOST = 50  # nodes of a window that reaches back further than its lag
+_MERGED = 0.01  # share of the longest interval: a node this close to the newest would be singular
+_BACK = 2.0  # s before the oldest node: a clock was set back, which is not a late reading
+_ROUNDED = 5e-4  # share of the least step by which times may be rounded
+_MOST = 50  # most nodes of a window that reaches back farther than its lag
 _BREAKDOWNS = (np.linalg.LinAlgError, UnobservableError, NotLinearError)  # of a solution
-_CLOSEST = 0.2  # of the last interval: no node is put nearer to the newest one to look ahead
+_CLOSEST = 0.2  # share of the last interval: least distance of a predicted node from the newest
 
 
 class WindowSteps:
-    """Steps of a window of `lag` time nodes, with readings that a gate of a chance believes.
+    """Advances a window of `lag` time nodes, with readings gated by the probability `gate`.
 
     Attributes:
         window: The window.
-        lag: How many time nodes it keeps, or more where they are to reach back further.
-        reach: How far back they do at least, s.
-        gate: What judges readings.
-        buffer: The readings of the window, and those still to come.
-        update: Solutions of the window with new readings.
-        updates: How many there were.
-        restarts: How often it began again from rest.
+        lag: Number of time nodes to keep, or more where they must reach back farther.
+        reach: Least time that the nodes reach back, s.
+        gate: Innovation gate of the readings.
+        buffer: Readings of the window, and those that wait.
+        update: Solver of the window with new readings.
+        updates: Number of updates.
+        restarts: Number of restarts from rest.
     """
 
     def __init__(self, window: SlidingWindow, lag: int, gate: float | None) -> None:
@@ -67,14 +68,14 @@ class WindowSteps:
         return float(self.window.nodes.time[-1]) if self.window.started else None
 
     def take(self, readings: Readings) -> None:
-        """Take readings of one stream, unless they came before or lie before the window."""
+        """Buffer readings of one stream, unless they are repeated or lie before the window."""
         self.buffer.take(readings, self._oldest)
 
     def advance(self, time: float) -> None:
-        """Go on to a time with all readings up to then.
+        """Advance to a time with all readings up to it.
 
         Raises:
-            OutsideGridError: The time lies seconds before all that is estimated.
+            OutsideGridError: The time lies seconds before the window.
         """
         self._asked, time = time, self._new_time(time)
         with one_thread():
@@ -84,15 +85,15 @@ class WindowSteps:
 
     @property
     def behind(self) -> bool:
-        """Whether the newest node is older than what was asked for, as nodes would be too close."""
+        """Whether the newest node is older than the requested time, as nodes were too close."""
         newest = self.time
         return newest is not None and self._asked - newest > _MERGED * self._pause.step
 
     def ahead(self, time: float) -> SlidingWindow:
-        """The window, or where a time is ahead of it a copy with more nodes.
+        """The window, or a copy with more nodes for a time ahead of it.
 
-        Those lie as they would if nothing were read until then, as far as where a robot at rest is
-        known as well: the copy has one node there, of that, which holds from then on.
+        Nodes lie as they would without readings until then, up to where the covariance reaches that
+        of a robot at rest: the copy then has one node at rest, which is valid from then on.
         """
         window, nodes = self.window, self.window.nodes.time
         newest = float(nodes[-1])
@@ -100,7 +101,7 @@ class WindowSteps:
             return window
         window = window.copied()
         before = window.before if len(nodes) == 1 else nodes[-2]
-        # Nodes may be too close; one further ahead than asked for does not change the answer.
+        # Nodes may be too close; one beyond the requested time does not change the prediction.
         least = 0.0 if before is None else _CLOSEST * float(newest - before)
         time = max(time, newest + max(least, self._least))
         with one_thread():
@@ -115,7 +116,7 @@ class WindowSteps:
         return window
 
     def _new_time(self, time: float) -> float:
-        """The time, or the newest node's where a node at it would be too close to that."""
+        """The time, or that of the newest node if another node would be too close to it."""
         if not self.window.started:
             return time
         nodes, before = self.window.nodes.time, self.window.before
@@ -131,7 +132,7 @@ class WindowSteps:
         return on[-1] if time - on[-1] < close else time
 
     def _next_node(self, time: float) -> float:
-        """The next node on the way to a time: that time, but in a pause nodes lie closer."""
+        """Time of the next node on the way to a time: that time, or earlier in a pause."""
         newest = self.time
         if newest is None or self.resting:
             return time
@@ -139,15 +140,15 @@ class WindowSteps:
         return stop if time - stop >= self._least else time
 
     def _step(self, time: float) -> float:
-        """One node more, or none if the time is not new, with what came; the newest time."""
+        """Append a node, unless the time is not new, and use new readings; the newest time."""
         before = self.time
-        self._append(time)  # the prior's mean leads there (2')
+        self._append(time)  # predicted by the prior's mean (2')
         newest = float(self.window.nodes.time[-1])
         fresh, earliest = self._arrive()
         if fresh or before is None or newest > before:
             starts = bool(fresh) and not self._started
             if starts:
-                self._started = self.update.start(fresh)  # all there is, as in a batch
+                self._started = self.update.start(fresh)  # the whole window, as a recording
             try:
                 self._solve(self.update.first_changed(earliest), fresh)  # (19) to (21), gated
                 self.window.settle()
@@ -160,16 +161,16 @@ class WindowSteps:
             if fresh.total():
                 curved = self._pause.curved
                 self._pause.end(before, newest)
-                if curved:  # what was read may be elsewhere
+                if curved:  # readings may be far from the tip
                     self._pause.note(self._spread(self.window))
             elif self._started:
                 self._note_pause(newest)
-            self._marginalize()  # the Schur complement of what leaves (20)
+            self._marginalize()  # the Schur complement of nodes that leave (20)
             self.updates += 1
         return newest
 
     def _append(self, time: float) -> None:
-        """A node at a time after the newest; while nothing was read there is but one, at rest."""
+        """Append a node after the newest; before the first reading the only node is at rest."""
         window = self.window
         if window.started and time <= window.nodes.time[-1]:
             return
@@ -190,7 +191,7 @@ class WindowSteps:
             window.append(time)
 
     def _rest(self, time: float) -> None:
-        """A single node at rest."""
+        """Begin again with a single node at rest."""
         window = self.window
         window.lone = self._pause.lone
         self._started = False
@@ -207,7 +208,7 @@ class WindowSteps:
 
     @property
     def resting(self) -> bool:
-        """Whether nothing is known but the prior."""
+        """Whether the estimate is that of the prior at rest."""
         return not self._started and self._pause.has_rest
 
     @property
@@ -218,7 +219,7 @@ class WindowSteps:
         return bool(held.streams or held.which.size)
 
     def _note_pause(self, newest: float) -> None:
-        """Begin again where the newest state is no better known than that of a robot at rest."""
+        """Restart where the newest state is as uncertain as that of a robot at rest."""
         spread = self._spread(self.window)
         self._pause.note(spread)
         if self._pause.is_at_rest(spread, newest):
@@ -226,11 +227,11 @@ class WindowSteps:
 
     @property
     def curved(self) -> bool:
-        """Whether belief is so wide that the spread of shapes counts, as after a pause."""
+        """Whether the covariance is too large to be linear, as after a pause."""
         return self._pause.curved or self.resting
 
     def newest(self) -> StateEstimate:
-        """The newest state; after a pause with the spread of shapes."""
+        """The newest state; with the spread of shapes where the covariance is too large."""
         linear = self.window.newest_nodes()
         if not self.curved:
             return linear
@@ -238,12 +239,12 @@ class WindowSteps:
         return ShapeSpread(linear.pose, linear.strain, linear.velocity, cov)
 
     def _arrive(self) -> tuple[Counter[str], float]:
-        """New readings up to the newest node: how many of each stream, and the earliest's time."""
+        """Hold new readings up to the newest node: number by stream, and the earliest time."""
         time = self.window.nodes.time
         return self.buffer.arrive(float(time[0]), float(time[-1]))
 
     def _marginalize(self) -> None:
-        """Let nodes and readings go that are older than the lag and beyond reach."""
+        """Marginalise nodes and discard readings that are older than the lag and the reach."""
         while len(self.window.nodes) > self.lag and not self._is_in_reach:
             self.window.drop()
         if not self.resting:
@@ -252,18 +253,18 @@ class WindowSteps:
 
     @property
     def _is_in_reach(self) -> bool:
-        """Whether the oldest node is needed to reach back."""
+        """Whether the oldest node is needed to reach back far enough."""
         time = self.window.nodes.time
         return bool(time[-1] - time[1] < self.reach) and time.size <= _MOST
 
     def _restart(self, since: float, fresh: Counter[str]) -> None:
-        """Begin again from rest, where states have become absurd or say nothing more."""
+        """Restart from rest, where states are absurd or no longer determined by readings."""
         self.restarts += 1
         newest = float(self.window.nodes.time[-1])
         self._begin_again(max(since, self._oldest) if fresh else newest, fresh)
 
     def _begin_again(self, oldest: float, fresh: Counter[str]) -> None:
-        """A robot at rest at a time, and from there to the newest node what was read."""
+        """Begin with a robot at rest at a time, and use the readings from there on."""
         newest = float(self.window.nodes.time[-1])
         self._oldest = oldest
         self._rest(oldest)
@@ -277,10 +278,10 @@ class WindowSteps:
     def _recover(
         self, error: Exception, since: float, fresh: Counter[str], *, restart: bool
     ) -> None:
-        """Begin again from rest with what was read since, or without what no shape explains.
+        """Restart from rest with the readings since a time, or without those no shape explains.
 
-        Only a robot whose base nothing fixes has no rest to return to: its error is raised. So is
-        that readings are far beyond reach, as in another unit, if never yet were any explained.
+        A robot whose base the prior does not fix has no state of rest: the error is raised. So it
+        is if readings are far beyond reach, as in another unit, and none were explained before.
         """
         newest = float(self.window.nodes.time[-1])
         try:
@@ -298,12 +299,12 @@ class WindowSteps:
                 raise breakdown(again, grid, prior, streams) from again
 
     def _solve(self, first: int, fresh: Counter[str]) -> None:
-        """Solve from a node on, with the new readings that the gate believes."""
+        """Solve from a node on, with the new readings that pass the gate."""
         self.update.update(first, fresh, linear=not self._pause.curved)
 
 
 def _begin_at_rest(window: SlidingWindow, time: float, *, solve: bool = True) -> None:
-    """Begin a window with a node of a robot at rest."""
+    """Begin a window with one node of a robot at rest."""
     window.begin(time, window.prior.rest_state(Grid(window.arclength, [time])).take(0))
     if solve:
         window.solve(0, HeldReadings())

@@ -1,4 +1,4 @@
-"""The normal equations of a sliding window, by interval, and their factor."""
+"""Normal equations of a sliding window, stored by interval, and their factor."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from glissando.model.grid import Index
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, eliminate
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
-_ROOM = 8  # slabs that memory is made for at first
+_ROOM = 8  # slabs for which memory is allocated at first
 
 
 class WindowSystem:
-    """Slabs of a window: they come at its end and leave at its front as a prior on the next.
+    """Slabs of a window, appended at its end and marginalised at its front.
 
-    What each interval adds is kept apart, so that what did not change need not be found again, in
-    places of which a slab that comes takes one that another left.
+    The sums of each interval are stored separately, so that those which did not change need not be
+    computed again. A new slab reuses the memory of one that left.
 
     Attributes:
-        layout: How the numbers of a slab are laid out.
-        intact: How many slabs, from the oldest on, have sums and factor up to date.
+        layout: Layout of the unknowns of a slab.
+        intact: Number of slabs, from the oldest on, whose sums and factor are up to date.
     """
 
     def __init__(self, layout: Layout, info: Array, rhs: Array) -> None:
-        """Begin with one slab, of which `info` (D, D) and `rhs` (D,) are known."""
+        """Begin with one slab, on which the prior is `info` (D, D) and `rhs` (D,)."""
         self.layout, self.intact = layout, 0
         self._make_room(_ROOM)
         self._slot = np.zeros(1, dtype=np.intp)
@@ -57,27 +57,27 @@ class WindowSystem:
 
     @property
     def info(self) -> Array:
-        """What is known (D, D) of the oldest slab from before."""
+        """Information (D, D) of the prior on the oldest slab."""
         return self._blocks[KNOWN, self._slot[0]]
 
     @property
     def rhs(self) -> Array:
-        """The right-hand side (D,) of that."""
+        """Right-hand side (D,) of the prior on the oldest slab."""
         return self._vectors[BEHIND, self._slot[0]].copy()
 
     @rhs.setter
     def rhs(self, values: Array) -> None:
-        """Another right-hand side (D,)."""
+        """Set the right-hand side (D,) of the prior."""
         self._vectors[BEHIND, self._slot[0]] = values
 
     def copied(self) -> WindowSystem:
-        """The same in memory of its own."""
+        """A copy with its own memory."""
         out = copy(self)
         out._keep(self._slot, self._blocks.shape[1])
         return out
 
     def _keep(self, slot: Index, room: int) -> None:
-        """Move slabs to the front of new memory."""
+        """Copy slabs to the front of newly allocated memory."""
         blocks, vectors, aside, count = self._blocks, self._vectors, self._aside, len(slot)
         self._make_room(room)
         self._blocks[:, :count], self._vectors[:, :count] = blocks[:, slot], vectors[:, slot]
@@ -85,7 +85,7 @@ class WindowSystem:
         self._slot = np.arange(count)
 
     def append(self) -> None:
-        """One slab more, of which nothing is known yet."""
+        """Append a slab without information."""
         room, slots = self._blocks.shape[1], self._slot.tolist()
         if len(slots) == room:
             self._keep(self._slot, 2 * room)
@@ -93,11 +93,11 @@ class WindowSystem:
         self._slot = np.array([*slots, min(set(range(len(slots) + 1)).difference(slots))])
 
     def drop(self) -> None:
-        """Leave the oldest slab behind; the next knows what it says. Source: equation (20)."""
+        """Marginalise the oldest slab into the prior on the next. Source: equation (20)."""
         self._slot, self.intact = self._slot[1:], self.intact - 1
 
     def builder(self, first: int) -> NormalEquationsBuilder:
-        """What sums the intervals from slab `first` on anew."""
+        """Builder of new sums for the intervals from slab `first` on."""
         self.intact, count = min(self.intact, first), len(self) - first
         blocks, vectors = self._sums
         begin, end, across = blocks[:, :count]
@@ -107,7 +107,7 @@ class WindowSystem:
         )
 
     def solve(self, first: int, sums: NormalEquationsBuilder) -> Array:
-        """Eliminate from slab `first` on, of which these are the sums; the solution (K, D).
+        """Eliminate from slab `first` on with new sums; the solution (K, D) of all slabs.
 
         Raises:
             UnobservableError: Some direction of the state has no information.
@@ -119,13 +119,13 @@ class WindowSystem:
         return solution
 
     def solve_with(self, sums: NormalEquationsBuilder, at: Index, info: Array, rhs: Array) -> Array:
-        """The same with information (d, d) and right-hand side (d,) on numbers of the newest slab.
+        """Solve with more information on unknowns of the newest slab.
 
         Args:
-            sums: Of all slabs, as they were eliminated.
-            at: Which numbers (d,).
-            info: Information on them.
-            rhs: Their right-hand side.
+            sums: Sums of all slabs, as they were eliminated.
+            at: Indices (d,) of the unknowns.
+            info: Information (d, d) to add on these.
+            rhs: Right-hand side (d,) to add.
         """
         solution, last = np.empty((len(self), self.layout.size)), len(self) - 1
         begin, end, across, rhs_begin, rhs_end = (each[last:] for each in sums.sums)
@@ -137,21 +137,21 @@ class WindowSystem:
         return solution
 
     def add(self, at: Index, info: Array, rhs: Array) -> None:
-        """Know more of numbers (d,) of the oldest slab: information (d, d), right-hand sides."""
+        """Add information (d, d) and right-hand side (d,) on unknowns `at` of the oldest slab."""
         self.info[np.ix_(at, at)] += info
         self._vectors[BEHIND, self._slot[0], at] += rhs
 
     def respond(self, first: int, sums: NormalEquationsBuilder) -> Array:
-        """The solution (K, D) for the right-hand side of other sums from slab `first` on.
+        """Solution (K, D) for the right-hand side of other sums from slab `first` on.
 
-        Their blocks do not count; of what older slabs say of it only what such sums said is known.
+        Their blocks are ignored; slabs before `first` contribute by the sums of earlier calls.
         """
         solution, rhs = np.empty((len(self), self.layout.size)), (sums.rhs_begin, sums.rhs_end)
         kernels.respond(self._blocks, self._aside, self._slot, first, *rhs, solution)
         return solution
 
     def system(self) -> tuple[BlockTridiagonal, Array]:
-        """The normal equations."""
+        """Matrix and right-hand side (K, D) of the normal equations."""
         blocks, vectors = self._blocks[:, self._slot], self._vectors[:, self._slot]
         half, coupling = np.tril(blocks[BEGIN] + blocks[KNOWN]), blocks[COUPLING, :-1]
         turned = coupling.swapaxes(1, 2)
@@ -163,16 +163,16 @@ class WindowSystem:
 
     @property
     def factor(self) -> tuple[Array, Array, Index]:
-        """Inverses and couplings of the factor as kernels take them: in places, and which."""
+        """Inverses and couplings of the factor as kernels take them, and the slots of slabs."""
         return self._blocks[INVERSE], self._blocks[COUPLING], self._slot
 
     @property
     def cholesky(self) -> Cholesky:
-        """The factor."""
+        """Cholesky factor of the matrix, with slabs in order."""
         inverse, coupling, slot = self.factor
         return Cholesky(inverse[slot], coupling[slot[:-1]])
 
     @property
     def root(self) -> Array:
-        """The inverse (D, D) of the newest slab's factor."""
+        """Inverse R (D, D) of the newest slab's factor, whose covariance is Rᵀ R."""
         return self._blocks[INVERSE, self._slot[-1]]

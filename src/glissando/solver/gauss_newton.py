@@ -1,4 +1,4 @@
-"""Gauss–Newton with a trust region on the whole problem.
+"""Gauss–Newton iteration with step control, over all unknowns at once.
 
 Linearise every factor, factor the block-tridiagonal system, step. If the cost does not fall, try
 the next step from there, else shorten the step by Levenberg–Marquardt damping. Stop when the

@@ -30,7 +30,7 @@ def time_blocks(grid: Grid) -> list[slice]:
 
 @dataclass(frozen=True)
 class ReadingBatch:
-    """Readings that touch equally many nodes.
+    """Readings that depend on equally many nodes.
 
     Attributes:
         points: Places and times of the readings, stream after stream.
