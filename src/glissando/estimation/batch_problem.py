@@ -180,7 +180,7 @@ class BatchProblem:
         if not end.outcome.sound:
             return known
         end, _, fit = touched.solve_without_refuted(end, first, self.gate)
-        used = [mine | other for mine, other in zip(known[2], fit, strict=True)]
+        used = [own | other for own, other in zip(known[2], fit, strict=True)]
         if all(map(np.array_equal, used, known[2])):
             return known
         better = self.minimum(used, start_at(end))

@@ -31,7 +31,7 @@ from glissando.solver.static_equations import linearize_static
 _TURN, _WAYS = np.pi, 8  # rad by which arcs turn; number of directions
 _STRIDES = (1, 1, 2)  # stride between the directions tried, for one, two or three parts
 _OFF = 10.0  # factor on the variance of the readings of one time, for mounts and drifts
-_SETTLED = SolverOptions(30, tolerance=1.0)
+_FIT_OPTIONS = SolverOptions(30, tolerance=1.0)
 _APART = 0.5  # rad over the robot's length by which distinct shapes differ
 _TRIED = 8
 
@@ -47,7 +47,7 @@ def bent_starts(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> Itera
     if grid.arclength.size < 2:
         return
     rest, half = prior.rest_state(grid), [(way,) for way in range(_WAYS)]
-    kinds = [partial(_settled, prior, grid, readings), partial(_arcs, prior, grid.arclength, half)]
+    kinds = [partial(_fitted, prior, grid, readings), partial(_arcs, prior, grid.arclength, half)]
     if isinstance(prior, MechanicalPrior):  # fitting one shape takes as long as trying all arcs
         kinds.reverse()
     for shapes in (kind() for kind in kinds):
@@ -74,7 +74,7 @@ def _arcs(prior: Prior, arclength: Array, ways: Sequence[tuple[int, ...]]) -> St
     return replace(rest, pose=pose, strain=rest.strain + bend)
 
 
-def _settled(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> State:
+def _fitted(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> State:
     """Distinct shapes (S, N) fitted to readings in the middle of the grid, lowest cost first."""
     moment, arclength = grid.time[grid.time.size // 2], grid.arclength
     nearest = [r.time[np.abs(r.time - moment).argmin()] for r in readings if len(r)]
@@ -85,7 +85,7 @@ def _settled(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> State:
     arcs = _arcs(prior, arclength, list(product(ways, repeat=parts)))
     if not near:
         return arcs.take(slice(0))
-    shapes, costs = _iterated(prior.with_soft_shear(), arclength, near, arcs)
+    shapes, costs = _fit_shapes(prior.with_soft_shear(), arclength, near, arcs)
     different: list[int] = []
     for i in np.argsort(costs, kind="stable"):
         bends = shapes.strain[[i, *different], :, 3:5]
@@ -104,7 +104,7 @@ def _shows_shape(readings: Readings) -> bool:
     return not readings.jacobian(every)[..., VELOCITY].any()
 
 
-def _iterated(
+def _fit_shapes(
     prior: Prior, arclength: Array, readings: Sequence[Readings], start: State
 ) -> tuple[State, Array]:
     """Shapes (S, N), each fitted to the same readings, and costs (S,), infinite if not solved."""
@@ -114,7 +114,7 @@ def _iterated(
     copies = [r.changed(time=np.arange(float(len(r))) // (len(r) // count)) for r in copies]
     located = locate(Grid.apart(arclength, count), copies)
     try:
-        shapes, _, left = iterate(prior, located, start, _SETTLED)
+        shapes, _, failed = iterate(prior, located, start, _FIT_OPTIONS)
         here = linearize_static(prior, located, shapes)
     except UnobservableError:
         return start, np.full(count, np.inf)
@@ -122,6 +122,6 @@ def _iterated(
         if count == 1:
             return start, np.array([np.inf])
         halves = start.take(slice(count // 2)), start.take(slice(count // 2, None))
-        parts = [_iterated(prior, arclength, readings, half) for half in halves]
+        parts = [_fit_shapes(prior, arclength, readings, half) for half in halves]
         return concatenate(*(f[0] for f in parts)), np.concatenate([f[1] for f in parts])
-    return shapes, np.where(left, np.inf, here.costs(here))
+    return shapes, np.where(failed, np.inf, here.costs(here))

@@ -218,8 +218,10 @@ def _acts(scan: ContactScan, force: Array, cov: Array) -> Array:
 
     None acts if that estimate is compatible with zero, and not with that of the single time.
     """
-    none, said = (off @ np.linalg.solve(cov, off) < _LIKELY for off in (force, force - scan.force))
-    return np.asarray(said or not none)
+    is_zero, is_same = (
+        off @ np.linalg.solve(cov, off) < _LIKELY for off in (force, force - scan.force)
+    )
+    return np.asarray(is_same or not is_zero)
 
 
 def scan_of(

@@ -146,9 +146,9 @@ class ForceEvidence:
         """
         few = self.take(slice(1, None, _PER_INTERVAL // 2))
         cov, half_log_det = few.given_force(variance)
-        even = np.einsum("mci,cij->mcj", few.root, np.linalg.cholesky(cov))
-        noise = np.random.default_rng(0).standard_normal((_DRAWS, len(even)))
-        drawn = noise @ even.reshape(len(even), 3 * few.arclength.size)
+        scaled = np.einsum("mci,cij->mcj", few.root, np.linalg.cholesky(cov))
+        noise = np.random.default_rng(0).standard_normal((_DRAWS, len(scaled)))
+        drawn = noise @ scaled.reshape(len(scaled), 3 * few.arclength.size)
         ratio = 0.5 * np.square(drawn).reshape(_DRAWS, -1, 3).sum(axis=-1) - half_log_det
         return float(np.quantile(np.log(np.exp(ratio) @ few.shares), 1.0 - false_alarms))
 
@@ -180,27 +180,29 @@ def force_evidence(
         cov: Posterior covariance (D, D), unknowns of the nodes first.
         step: Step (D,) from the linearisation point to the mean.
     """
-    places, n, pull = _pulls(prior, arclength, state)
+    places, n, jacobian = _force_jacobians(prior, arclength, state)
     count = arclength.size - 1
     ends = state.take(np.s_[:-1]), state.take(np.s_[1:])
     error, slopes = still_error(*ends, prior.rod.intervals(arclength))
-    even = sqrt_information(errors.of_errors)
+    whitener = sqrt_information(errors.of_errors)
     slope = np.zeros((count, 12, count + 1, slopes.shape[3]))
     rows = np.arange(count)
     for end in range(2):
-        slope[rows, :, rows + end] = even @ slopes[:, :, end]
+        slope[rows, :, rows + end] = whitener @ slopes[:, :, end]
     flat = slope.reshape(12 * count, -1)
     chosen = (np.arange(count + 1)[:, None] * state.dof + still_columns(slopes.shape[3])).ravel()
-    white = (even @ error[:, :, None]).ravel() + flat @ step[chosen]
+    white = (whitener @ error[:, :, None]).ravel() + flat @ step[chosen]
     value, vector = np.linalg.eigh(np.eye(12 * count) - flat @ cov[np.ix_(chosen, chosen)] @ flat.T)
     seen = value > max(_UNSEEN, -2.0 * float(value[0]))
     directions = vector[:, seen].reshape(count, 12, -1)[n]
-    root = np.einsum("cam,cai->mci", directions, even[n] @ pull)
+    root = np.einsum("cam,cai->mci", directions, whitener[n] @ jacobian)
     by_force = np.einsum("m,mci->ci", white @ vector[:, seen], root)
     return ForceEvidence(places, by_force, np.sqrt(value[seen])[:, None, None] * root)
 
 
-def _pulls(prior: MechanicalPrior, arclength: Array, state: State) -> tuple[Array, Index, Array]:
+def _force_jacobians(
+    prior: MechanicalPrior, arclength: Array, state: State
+) -> tuple[Array, Index, Array]:
     """Places (C,), their intervals (C,), and Jacobians (C, 12, 3) of errors by a force there."""
     lengths = np.diff(arclength)
     n = np.repeat(np.arange(lengths.size), _PER_INTERVAL)

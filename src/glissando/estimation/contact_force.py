@@ -54,10 +54,10 @@ def with_force(posterior: Posterior, node: int, variance: Array) -> Posterior:
         node: Index of the arclength node, not the base's.
         variance: Prior variance (3,) of the force, N².
     """
-    before = require_mechanics(posterior.prior)
-    prior = _with_point(before, posterior.grid.arclength, node, variance)
+    own_prior = require_mechanics(posterior.prior)
+    prior = _with_point(own_prior, posterior.grid.arclength, node, variance)
     diagonal, lower, rhs = _system_of(posterior)
-    own, other = (_prior_alone(posterior, each) for each in (before, prior))
+    own, other = (_prior_alone(posterior, each) for each in (own_prior, prior))
     count = own[2].shape[1]
     diagonal[:, :count, :count] += other[0] - own[0]
     lower[:, :count, :count] += other[1] - own[1]
@@ -222,8 +222,8 @@ def wrench_at(posterior: Posterior, place: float, variance: Array) -> Wrench:
     load = posterior.load(place, posterior.grid.time[k], frame="world")
     n = int(np.abs(posterior.grid.arclength - place).argmin())
     turn = posterior.state.pose[k, n, :3, :3]
-    turns = np.kron(np.eye(2), turn)
-    whole, before = np.asarray(np.linalg.inv(load.cov)), turns / variance @ turns.T
+    rotation = np.kron(np.eye(2), turn)
+    info, prior_info = np.asarray(np.linalg.inv(load.cov)), rotation / variance @ rotation.T
     tangent = turn @ posterior.state.strain[k, n, :3]
-    vector = np.asarray(whole @ load.wrench, dtype=float)
-    return Wrench(load.wrench, vector, whole - before, tangent, before[:3, :3])
+    vector = np.asarray(info @ load.wrench, dtype=float)
+    return Wrench(load.wrench, vector, info - prior_info, tangent, prior_info[:3, :3])

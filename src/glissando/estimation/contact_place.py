@@ -92,17 +92,17 @@ def locate_contact(
     of_moment = np.full(3, (_LEVER * length) ** 2 * of_force.max())
     variance = np.concatenate([of_force, of_moment])
     count = sum(len(r) * r.row_count for r in readings)
-    best, reach = _touched_at(prior, grid, readings, start, variance), 0.15 * length
+    best, reach = _solve_with_load(prior, grid, readings, start, variance), 0.15 * length
     if 2.0 * best.posterior.solve.cost > count + _MISFIT * np.sqrt(2.0 * count):
         for share in _STARTS:
             with suppress(UnobservableError):  # so far off that rounding errors dominate
-                other = _touched_at(prior, grid, readings, share * length, variance)
+                other = _solve_with_load(prior, grid, readings, share * length, variance)
                 best = min(best, other, key=lambda touched: touched.posterior.solve.cost)
     for _ in range(_ROUNDS):
         if abs(best.move) < 0.1 * best.std + 1e-4 * length:
             break
         place = best.place + float(np.clip(best.move, -reach, reach))
-        other = _touched_at(prior, grid, readings, place, variance, best.posterior)
+        other = _solve_with_load(prior, grid, readings, place, variance, best.posterior)
         reach = 0.5 * abs(other.place - best.place)
         if reach < 1e-4 * length:
             break
@@ -119,7 +119,7 @@ def locate_contact(
 
 
 @dataclass(frozen=True)
-class _Touched:
+class _Trial:
     """A load tried at a place, the wrench there, and the distance to the force beyond it."""
 
     posterior: Posterior
@@ -130,14 +130,14 @@ class _Touched:
     said: Sequence[Warning]
 
 
-def _touched_at(
+def _solve_with_load(
     prior: MechanicalPrior,
     grid: Grid,
     readings: Sequence[Readings],
     place: float,
     variance: Array,
     near_by: Posterior | None = None,
-) -> _Touched:
+) -> _Trial:
     """Estimate with a load of this `variance` (6,) at a place, started from one nearby."""
     length, near = float(grid.arclength[-1]), 0.25 * float(np.diff(grid.arclength).min())
     place = float(np.clip(place, near, length - near))
@@ -151,9 +151,9 @@ def _touched_at(
         var_points=np.concatenate([prior.var_points, variance[None]])[order],
     )
     start = None if near_by is None else near_by.states_on(finer)
-    with warnings.catch_warnings(record=True) as said:  # issued only for the place that is found
+    with warnings.catch_warnings(record=True) as caught:  # issued only for the place that is found
         warnings.simplefilter("always")
         posterior = estimate(touched, finer, readings, initial=start)
     wrench = wrench_at(posterior, place, variance)
-    warned = [w.message for w in said if isinstance(w.message, Warning)]
-    return _Touched(posterior, place, wrench, *wrench.beyond(length), warned)
+    warned = [w.message for w in caught if isinstance(w.message, Warning)]
+    return _Trial(posterior, place, wrench, *wrench.beyond(length), warned)

@@ -79,15 +79,15 @@ class DelayCounting:
             shares: Shares (d,) of the delays' slopes that count.
         """
         before, cov = self._delays.faded(time - self._time, self._values, self._cov)
-        known = np.linalg.inv(cov)
-        told = info - known
-        rhs = info @ (values - start) - known @ (before - start)
+        prior_info = np.linalg.inv(cov)
+        data_info = info - prior_info
+        rhs = info @ (values - start) - prior_info @ (before - start)
         off = cov + np.diag((before - start) ** 2)
         noise = np.diag(1.0 - shares**2)
-        weight = shares[:, None] * np.linalg.inv(np.eye(shares.size) + told @ noise @ off)
-        counted = weight @ told * shares
+        weight = shares[:, None] * np.linalg.inv(np.eye(shares.size) + data_info @ noise @ off)
+        counted = weight @ data_info * shares
         counted_rhs = weight @ rhs / np.where(shares > 0.0, shares, 1.0)
-        more = 0.5 * (counted + counted.T) - told
+        more = 0.5 * (counted + counted.T) - data_info
         return more, counted_rhs - rhs + more @ start
 
     def leave(
@@ -155,7 +155,7 @@ class DelayDating:
         self.information = SlopeInformation(delayed_streams(process), self._columns)
         self.counting = DelayCounting(process)
         self._slopes: list[Slopes] = []
-        self._reaches = False
+        self._spans_delay = False
 
     def copied(self) -> DelayDating:
         """A copy that can be changed without changing this one."""
@@ -208,7 +208,7 @@ class DelayDating:
         Returns:
             The nodes with their derivatives by a delay.
         """
-        self._reaches = bool(nodes.time[-1] - nodes.time[0] >= longest)
+        self._spans_delay = bool(nodes.time[-1] - nodes.time[0] >= longest)
         motion, other = self._motions(nodes)
         slope, noisy = (slope_in_time(m, nodes.time) for m in (motion, other))
         own = slope_in_time(nodes.state, nodes.time) - slope
@@ -242,7 +242,7 @@ class DelayDating:
             min(self.information.share(stream) for stream in parameter.streams)
             for parameter in self._delays
         ]
-        return np.array(shares) if self._reaches else np.zeros(len(shares))
+        return np.array(shares) if self._spans_delay else np.zeros(len(shares))
 
     def note(self, sums: NormalEquationsBuilder) -> None:
         """Record the sums of a whole window, and the slopes of its readings."""

@@ -76,10 +76,10 @@ def with_unseen_delays(
             moving = replace(solution.located, motion=motion)
             shares = shares_of_slope(prior, moving, noise, solution, late, delays)
     located = replace(solution.located, motion=motion)
-    return _settled(prior, located, shares, solution, options)
+    return _iterate_delays(prior, located, shares, solution, options)
 
 
-def _settled(
+def _iterate_delays(
     prior: Prior,
     located: LocatedReadings,
     shares: Mapping[str, float],
@@ -92,16 +92,16 @@ def _settled(
     contradicts them least, whatever their delay is. Where the motion gives no information, or steps
     do not converge, delays are as stated, and as uncertain.
     """
-    unseen = dict.fromkeys(shares, 0.0)
-    for counted in (shares, unseen) if any(shares.values()) else (unseen,):
-        settled = _end_of_steps(prior, located, counted, solution, options)
-        if settled is not None:
-            return settled
-    seen, cholesky = _known_by_motion(prior, located, unseen, solution.state, solution)
+    zero_shares = dict.fromkeys(shares, 0.0)
+    for counted in (shares, zero_shares) if any(shares.values()) else (zero_shares,):
+        converged = _converged_steps(prior, located, counted, solution, options)
+        if converged is not None:
+            return converged
+    seen, cholesky = _equations_by_motion(prior, located, zero_shares, solution.state, solution)
     return replace(solution, equations=seen, cholesky=cholesky)
 
 
-def _end_of_steps(
+def _converged_steps(
     prior: Prior,
     located: LocatedReadings,
     shares: Mapping[str, float],
@@ -111,7 +111,7 @@ def _end_of_steps(
     """Solution to which these steps converge, or None if they do not."""
     state, at = solution.state, located
     for _ in range(_STEPS):
-        seen, cholesky = _known_by_motion(prior, at, shares, state, solution)
+        seen, cholesky = _equations_by_motion(prior, at, shares, state, solution)
         step = cholesky.solve(seen.rhs)
         length = float(np.sqrt(np.sum(step * seen.rhs)))  # may grow before it shrinks
         if length < options.tolerance:
@@ -123,7 +123,7 @@ def _end_of_steps(
     return None
 
 
-def _known_by_motion(
+def _equations_by_motion(
     prior: Prior,
     located: LocatedReadings,
     shares: Mapping[str, float],
@@ -134,17 +134,17 @@ def _known_by_motion(
     process, time = located.parameters.process, located.grid.time
     workspace, cholesky = solution.memory(state.numbers + process.size)
     located, counts = _with_shares(located, shares)
-    seen = linearize(prior, located, state, state, workspace)
+    equations = linearize(prior, located, state, state, workspace)
     own = slope_in_time(state, time)
     if located.motion is not None:
         own -= slope_in_time(located.motion, time)
     own = own.reshape(time.size, -1)
     columns = [state.numbers + column for column in process.delay_columns]
-    seen.rhs[:, columns] -= np.sum(own * seen.rhs[:, : state.numbers], axis=1)[:, None]
-    cholesky = factor(_moving_along(seen.system, own, columns), cholesky)
+    equations.rhs[:, columns] -= np.sum(own * equations.rhs[:, : state.numbers], axis=1)[:, None]
+    cholesky = factor(_moving_along(equations.system, own, columns), cholesky)
     if np.all(counts == 1.0):
-        return seen, cholesky
-    return seen, _counted(seen, counts, columns, cholesky)
+        return equations, cholesky
+    return equations, _factor_with_shares(equations, counts, columns, cholesky)
 
 
 def _with_shares(
@@ -164,8 +164,8 @@ def _with_shares(
     return replace(located, shares=scaled), np.array(counts)
 
 
-def _counted(
-    seen: NormalEquations, counts: Array, columns: Sequence[int], cholesky: Cholesky
+def _factor_with_shares(
+    equations: NormalEquations, counts: Array, columns: Sequence[int], cholesky: Cholesky
 ) -> Cholesky:
     """Factor of the normal equations in which a share of the slope of each delay (d,) counts.
 
@@ -173,20 +173,22 @@ def _counted(
     states given the delays are kept, and the information from noise is subtracted from the delays
     alone, for which both are equivalent.
     """
-    process, node = seen.located.parameters.process, len(seen.rhs) // 2  # any of a constant
-    cov, unit = np.zeros((len(columns), len(columns))), np.zeros_like(seen.rhs)
+    process = equations.located.parameters.process
+    node = len(equations.rhs) // 2  # any, as delays are constant
+    cov, unit = np.zeros((len(columns), len(columns))), np.zeros_like(equations.rhs)
     for row, column in enumerate(columns):
         unit[node, column] = 1.0
         cov[row] = cholesky.solve(unit)[node, columns]
         unit[node, column] = 0.0
     info = np.linalg.inv(0.5 * (cov + cov.T))
-    off = (process.mean - seen.located.parameters.values[node])[process.delay_columns]
+    off = (process.mean - equations.located.parameters.values[node])[process.delay_columns]
     stated = np.diag(process.std[process.delay_columns] ** -2.0)
-    told = info - stated
-    told_rhs = info @ cholesky.solve(seen.rhs)[node, columns] - stated @ off
-    seen.system.diagonal[np.ix_([node], columns, columns)] += counts[:, None] * told * counts - told
-    seen.rhs[node, columns] += counts * told_rhs - told_rhs
-    return factor(seen.system, cholesky)
+    data_info = info - stated
+    data_rhs = info @ cholesky.solve(equations.rhs)[node, columns] - stated @ off
+    change = counts[:, None] * data_info * counts - data_info
+    equations.system.diagonal[np.ix_([node], columns, columns)] += change
+    equations.rhs[node, columns] += counts * data_rhs - data_rhs
+    return factor(equations.system, cholesky)
 
 
 def delayed(

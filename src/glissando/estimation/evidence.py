@@ -35,12 +35,12 @@ def log_normalizer(prior: Prior, grid: Grid, state: State, noise_state: State) -
     """
     load_kernels(prior)
     with one_thread():
-        alone = linearize(prior, locate(grid, []), state, noise_state)
-        known = np.zeros(alone.system.diagonal.shape[:2])
+        equations = linearize(prior, locate(grid, []), state, noise_state)
+        base_info = np.zeros(equations.system.diagonal.shape[:2])
         if not prior.fixes_base:
-            known[0, : state.dof] = 1.0  # the first base, with unit variance
+            base_info[0, : state.dof] = 1.0  # the first base, with unit variance
         try:
-            log_det = factor(alone.system.add_to_diagonal(known)).log_det
+            log_det = factor(equations.system.add_to_diagonal(base_info)).log_det
         except (np.linalg.LinAlgError, UnobservableError):
             if not prior.fixes_base:
                 raise
@@ -48,4 +48,4 @@ def log_normalizer(prior: Prior, grid: Grid, state: State, noise_state: State) -
             root = root_information(every, grid.shape, state.dof)  # has twice the digits
             diagonal = np.abs(np.diagonal(root.diagonal, axis1=1, axis2=2))
             log_det = 2.0 * float(np.log(diagonal).sum())
-    return 0.5 * (log_det + alone.log_det_noise)
+    return 0.5 * (log_det + equations.log_det_noise)

@@ -96,7 +96,7 @@ class FixedLagSmoother:
         self.arclength = arclength_nodes(arclength)
         require_model(prior, self.arclength, sensor_parameters)
         self._window = SlidingWindow(prior, self.arclength, sensor_parameters)
-        _meet(prior, self.arclength)
+        _warm_up_kernels(prior, self.arclength)
         self._known = [p for p in sensor_parameters if p.known]
         self._late, others = delayed(sensor_parameters)
         self.lag = window = max(window, _DATED) if self._late else window
@@ -339,7 +339,7 @@ def _merged(late: NDArray[np.bool_], early: StateEstimate, other: StateEstimate)
     return ShapeSpread(*out) if spread else StateEstimate(*out)
 
 
-def _meet(prior: Prior, arclength: Array) -> None:
+def _warm_up_kernels(prior: Prior, arclength: Array) -> None:
     """Call all kernels of a prior once, so that they are compiled before the first reading."""
     step = max(_STEP, prior.least_step(arclength))
     grid = Grid(arclength, [0.0, step])

@@ -33,8 +33,8 @@ class GatedUpdate:
 
     def __init__(self, window: SlidingWindow, buffer: ReadingBuffer, gate: InnovationGate) -> None:
         self._window, self._buffer, self._gate = window, buffer, gate
-        self._missed, self._spare = np.inf, _SAVED
-        self._touched = under_touches(window.prior, window.arclength, _SUDDEN)
+        self._missed, self._budget = np.inf, _SAVED
+        self._contact_prior = under_touches(window.prior, window.arclength, _SUDDEN)
 
     def first_changed(self, earliest: float) -> int:
         """First node whose interval must be linearised again for readings since `earliest`."""
@@ -56,7 +56,7 @@ class GatedUpdate:
         """
         window = self._window
         readings = self._buffer.streams(window.since(0))
-        most = _LONG if self._spare > 0 else _BRIEF
+        most = _LONG if self._budget > 0 else _BRIEF
         try:
             require_base(window.prior, readings)
             grid = window.grid()
@@ -71,11 +71,11 @@ class GatedUpdate:
         except UnobservableError:
             return False  # until another sensor fixes the base
         except UnreachableError:
-            self._spare -= most
+            self._budget -= most
             self._refuse_all(readings)
             fresh.clear()
             return False
-        self._spare -= posterior.solve.iterations
+        self._budget -= posterior.solve.iterations
         window.restate(posterior.state)
         return True
 
@@ -96,30 +96,30 @@ class GatedUpdate:
         Raises:
             NotLinearError: New readings contradict an estimate too uncertain to refuse them.
         """
-        self._spare = min(self._spare + 1, _SAVED)
+        self._budget = min(self._budget + 1, _SAVED)
         window, before = self._window, self._window.points
         most = max(_MOST, fresh.total() // 2)
-        for again in range(most + 1):
-            readings, wrong, broke = self.readings(first), None, None
+        for attempt in range(most + 1):
+            readings, wrong, breakdown = self.readings(first), None, None
             try:
                 self._missed = _solve(window, first, readings, _MOST)
-                wrong = self._most_wrong(window, fresh, first_look=not again) if fresh else None
-                if wrong is None or again == most:
+                wrong = self._worst(window, fresh, first_look=not attempt) if fresh else None
+                if wrong is None or attempt == most:
                     return
             except (np.linalg.LinAlgError, UnobservableError) as error:
-                if not fresh or again == most:
+                if not fresh or attempt == most:
                     raise
-                broke = error
+                breakdown = error
             if not linear:
                 raise NotLinearError
-            judge = window if broke else self._under_touches(first, readings)
-            if judge is not window and (wrong := self._most_wrong(judge, fresh)) is None:
+            judge = window if breakdown else self._with_contacts(first, readings)
+            if judge is not window and (wrong := self._worst(judge, fresh)) is None:
                 return
             judge.points = before
             _solve(judge, first, readings, 1)
-            wrong = self._most_wrong(judge, fresh) or wrong
+            wrong = self._worst(judge, fresh) or wrong
             if wrong is None:
-                raise broke or NotLinearError
+                raise breakdown or NotLinearError
             self._refuse(*wrong)
             fresh[wrong[0]] -= 1
             window.points = before
@@ -134,22 +134,22 @@ class GatedUpdate:
         self._refuse_all([r.select(slice(len(r) - fresh[r.label], None)) for r in held])
         fresh.clear()
 
-    def _under_touches(self, first: int, readings: HeldReadings) -> SlidingWindow:
+    def _with_contacts(self, first: int, readings: HeldReadings) -> SlidingWindow:
         """The window solved with a prior of contacts.
 
         It is the window itself if the prior has no mechanics, or that solution breaks down.
         """
         window = self._window
-        if self._touched is window.prior:
+        if self._contact_prior is window.prior:
             return window
-        touched = window.with_prior(self._touched)
+        touched = window.with_prior(self._contact_prior)
         try:
             _solve(touched, first, readings, _MOST)
         except (np.linalg.LinAlgError, UnobservableError):
             return window
         return touched
 
-    def _most_wrong(
+    def _worst(
         self, window: SlidingWindow, fresh: Counter[str], *, first_look: bool = False
     ) -> tuple[str, float, float] | None:
         """Stream, time and arclength of the new reading farthest beyond the gate, if any."""

@@ -86,7 +86,7 @@ def require_batch(
     require_model(prior, grid.arclength, sensor_parameters)
     require_list(readings, Readings, "readings")
     _require_once(readings)
-    _warn_of_strangers(readings, sensor_parameters)
+    _warn_of_unmatched_names(readings, sensor_parameters)
     require_options(options)
     for parameter in sensor_parameters:
         for r in readings:
@@ -132,7 +132,7 @@ def _require_once(readings: Sequence[Readings]) -> None:
             )
 
 
-def _warn_of_strangers(
+def _warn_of_unmatched_names(
     readings: Sequence[Readings], sensor_parameters: Sequence[SensorParameter]
 ) -> None:
     """Warn if sensor parameters belong to no readings, and a name may be missing or misspelt."""
@@ -197,8 +197,8 @@ def _require_plausible(grid: Grid, readings: Readings, parameter: SensorParamete
         return
     nodes, unit = (grid.time, "s") if parameter.kind == "time_offset" else (grid.arclength, "m")
     at = getattr(parameter.shift(readings, parameter.value), parameter.along)
-    room = min(_FAR * float(parameter.std[0]), float(np.ptp(nodes)))
-    if np.mean((at < nodes[0] - room) | (at > nodes[-1] + room)) > 0.5:
+    margin = min(_FAR * float(parameter.std[0]), float(np.ptp(nodes)))
+    if np.mean((at < nodes[0] - margin) | (at > nodes[-1] + margin)) > 0.5:
         raise OutsideGridError(
             f"Sensor parameter {parameter.name!r} is {parameter.value[0]:g} {unit}, which puts "
             f"most readings of {readings.label} outside [{nodes[0]:g}, {nodes[-1]:g}] {unit}; give "

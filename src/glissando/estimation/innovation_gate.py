@@ -15,7 +15,7 @@ _FALSE_ALARM = 1e-4
 
 
 @cache
-def _beyond(chance: float, dof: int) -> float:
+def _chi_square_limit(chance: float, dof: int) -> float:
     """Value that a χ² variable of `dof` degrees of freedom exceeds with this probability."""
     return float(chi_square_exceedance(chance, dof))
 
@@ -33,7 +33,7 @@ class InnovationGate:
         self.dropped: dict[str, Counter[str]] = {}
         self._strikes: Counter[tuple[str, float | None]] = Counter()
         self._places: dict[str, list[float]] = {}  # arclengths of a stream's last readings
-        self._again: dict[str, set[float]] = {}  # those of them that readings before had as well
+        self._repeated: dict[str, set[float]] = {}  # those of them that readings before had as well
         self._innovations: deque[tuple[float, int]] = deque(maxlen=_REMEMBERED)
 
     def refuse(self, name: str, reason: str, rows: np.ndarray) -> np.ndarray:
@@ -49,7 +49,7 @@ class InnovationGate:
         if self.chance is None:
             return 0.0, 0
         most = max(nis)
-        if most > (limit := _beyond(self.chance, dof)) and self._strikes:
+        if most > (limit := _chi_square_limit(self.chance, dof)) and self._strikes:
             judged = [
                 0.0 if self._strikes[self._key(name, place)] >= _STRIKES else each
                 for place, each in zip(arclength, nis, strict=True)
@@ -64,16 +64,16 @@ class InnovationGate:
     def note(self, name: str, arclength: list[float], nis: list[float], dof: int) -> None:
         """Record squared innovations, before any reading is refused."""
         self._innovations.extend((each, dof) for each in nis)
-        self._again[name] = set(arclength).intersection(self._places.get(name, ()))
+        self._repeated[name] = set(arclength).intersection(self._places.get(name, ()))
         self._places[name] = arclength
         if self._strikes:
-            limit = np.inf if self.chance is None else _beyond(self.chance, dof)
+            limit = np.inf if self.chance is None else _chi_square_limit(self.chance, dof)
             for place, each in zip(arclength, nis, strict=True):
                 if each <= limit:
                     self._strikes.pop(self._key(name, place), None)
 
     def _key(self, name: str, arclength: float) -> tuple[str, float | None]:
-        return name, arclength if arclength in self._again.get(name, ()) else None
+        return name, arclength if arclength in self._repeated.get(name, ()) else None
 
     @property
     def nis(self) -> float | None:
@@ -87,4 +87,4 @@ class InnovationGate:
     def fits(self) -> bool:
         """Whether recent innovations are no larger than chance allows."""
         dof = sum(d for _, d in self._innovations)
-        return self.nis is None or self.nis <= _beyond(_FALSE_ALARM, dof) / dof
+        return self.nis is None or self.nis <= _chi_square_limit(_FALSE_ALARM, dof) / dof

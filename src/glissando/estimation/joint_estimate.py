@@ -100,7 +100,7 @@ def joint_estimate(
     slope = np.zeros((places.size, DOF, count * dof))
     cov = np.zeros((places.size, DOF, places.size, DOF))
     now = np.full(places.shape, grid.time[k])
-    found, parts = interpolated(prior, grid, state, state, places, now)
+    mean, parts = interpolated(prior, grid, state, state, places, now)
     for rows, at in parts:
         cov[rows, :, rows] = at.cov
         for m, nodes, slopes in zip(rows, at.nodes, at.jacobian, strict=True):
@@ -108,7 +108,7 @@ def joint_estimate(
                 slope[m, :, node * dof : (node + 1) * dof] += slopes[:, c]
     known = marginals.cov[k][: count * dof, : count * dof]
     cov += np.einsum("mia,ab,njb->minj", slope, known, slope, optimize=True)
-    return JointEstimate(found.pose, found.strain, found.velocity, cov)
+    return JointEstimate(mean.pose, mean.strain, mean.velocity, cov)
 
 
 def _require_apart(grid: Grid, places: Array) -> None:

@@ -34,18 +34,19 @@ class OnlineMonitor:
         rest = prior.rest_state(Grid(arclength, [0.0])).pose[0, 0, :3, 3]
         self._base, self._arclength = rest if prior.fixes_base else None, arclength
         self._reach = (_REACH * arclength + _AT_BASE * arclength[-1]) ** 2  # m²
-        self._advances, self._forgets, self._astray, self.beyond = 0, False, False, False
+        self._advances, self.beyond = 0, False
+        self._reported_restarts = self._reported_reach = False
         self._farthest = _UNIT * float(arclength[-1])
-        self._elsewhere: set[str] = set()  # streams
-        self._given, self._untimely = Counter[str](), set[str]()
+        self._reported_places: set[str] = set()  # streams
+        self._added, self._reported_times = Counter[str](), set[str]()
 
     def check_places(self, readings: Readings) -> None:
         """Check the arclengths of readings, before those off the robot are dropped."""
-        self._given[readings.label] += len(readings)
+        self._added[readings.label] += len(readings)
         place = readings.arclength
-        if not len(place) or place[0] <= self._farthest or readings.label in self._elsewhere:
+        if not len(place) or place[0] <= self._farthest or readings.label in self._reported_places:
             return
-        self._elsewhere.add(readings.label)
+        self._reported_places.add(readings.label)
         _warn(
             f"{readings.label} reads at {place[0]:g} m of a robot of {self._arclength[-1]:g} m and "
             f"is left out; give metres, not millimetres."
@@ -57,11 +58,11 @@ class OnlineMonitor:
             return
         for label, counts in dropped.items():
             lost = counts.get("late", 0) + counts.get("ahead", 0)
-            if lost < max(_LOST, _MOST * self._given[label]) or label in self._untimely:
+            if lost < max(_LOST, _MOST * self._added[label]) or label in self._reported_times:
                 continue
-            self._untimely.add(label)
+            self._reported_times.add(label)
             _warn(
-                f"{lost} of {self._given[label]} readings of {label} are left out: they lie before "
+                f"{lost} of {self._added[label]} readings of {label} are left out: they lie before "
                 f"the window, or more than two seconds ahead. Give the time of their clock, in "
                 f"seconds, to advance(), as often as they come, or a longer window.",
                 EstimateWarning,
@@ -71,8 +72,8 @@ class OnlineMonitor:
         """Check the newest nodes (N,) and the number of restarts of the window."""
         self._advances += 1
         restarting = restarts >= _RESTARTS and 2 * restarts >= self._advances
-        if restarting and not self._forgets:
-            self._forgets = True
+        if restarting and not self._reported_restarts:
+            self._reported_restarts = True
             _warn(
                 f"The window began again from rest at {restarts} of {self._advances} times: what "
                 f"was read is forgotten or contradicted by the next. Give times in seconds, not "
@@ -82,8 +83,8 @@ class OnlineMonitor:
         off = place - (place[0] if self._base is None else self._base)
         excess = np.einsum("ni,ni->n", off, off) - self._reach
         self.beyond = bool(excess.max() > 0.0)
-        if self.beyond and not self._astray:
-            self._astray, worst = True, int(np.argmax(excess))
+        if self.beyond and not self._reported_reach:
+            self._reported_reach, worst = True, int(np.argmax(excess))
             _warn(
                 f"The estimate is {np.linalg.norm(off[worst]):.3g} m from the base at "
                 f"{self._arclength[worst]:.3g} m of the robot, beyond its reach: readings are in "

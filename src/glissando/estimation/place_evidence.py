@@ -52,16 +52,16 @@ def by_evidence(
     columns = _offsets(process)
     if not columns:
         return solution
-    push, at_mode = np.zeros(len(columns)), solution
+    shift, at_mode = np.zeros(len(columns)), solution
     for _ in range(_ROUNDS):
         cholesky = factor(at_mode.equations.system)
         slope, std = _slopes(prior, at_mode, columns, cholesky)
-        slope *= _activity(prior, at_mode, cholesky)
-        change, push = slope - push, slope
+        slope *= _prior_cost_ratio(prior, at_mode, cholesky)
+        change, shift = slope - shift, slope
         if np.all(np.abs(change) * std < _SETTLED):
             break
         expected = process.mean.copy()
-        expected[columns] -= process.std[columns] ** 2 * push
+        expected[columns] -= process.std[columns] ** 2 * shift
         moved = {p.name: expected[at] for p, at in zip(process.each, process.columns, strict=True)}
         at_mode = solve([replace(p, value=moved.get(p.name, p.value)) for p in given], at_mode)
     return at_mode if at_mode is solution else _as_stated(at_mode, process)
@@ -99,18 +99,18 @@ def _slopes(
     return slopes, std
 
 
-def _activity(prior: Prior, solution: Solution, cholesky: Cholesky) -> float:
+def _prior_cost_ratio(prior: Prior, solution: Solution, cholesky: Cholesky) -> float:
     """Ratio of the prior's cost to its expectation: about 1 where the prior is right.
 
     It is twice the cost over the number of directions of the states that readings determine.
     """
     at = solution.equations
-    done = 2.0 * sum(terms.cost(terms.residual) for terms in at.prior_terms())
+    actual = 2.0 * sum(terms.cost(terms.residual) for terms in at.prior_terms())
     expected, rng = 0.0, np.random.default_rng(0)
     for _ in range(_DRAWS):
         rhs = rhs_of_noise(prior, solution.located, (at.state, at.noise_state), rng)
         expected += float(np.sum(rhs * cholesky.solve(rhs))) / _DRAWS
-    return done / expected
+    return actual / expected
 
 
 def _minus_evidence(prior: Prior, solution: Solution, step: Array) -> float:

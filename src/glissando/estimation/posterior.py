@@ -65,10 +65,10 @@ class Posterior(ShortRepr):
         columns = [self.state.numbers + column for column in process.delay_columns]
         if not columns:
             return self.marginals
-        held = np.zeros(self.system.diagonal.shape[:2])
-        held[:, columns] = HELD
+        fixing_info = np.zeros(self.system.diagonal.shape[:2])
+        fixing_info[:, columns] = HELD
         with one_thread():
-            marginals = factor(self.system.add_to_diagonal(held)).marginals(consume=True)
+            marginals = factor(self.system.add_to_diagonal(fixing_info)).marginals(consume=True)
             return transported(self.linearization_point, self.state, marginals)
 
     @cached_property

@@ -48,10 +48,10 @@ class ReadingFit(ShortRepr):
             least: Lower bound on S, below which rounding and the solver's tolerance dominate.
         """
         share, axes = np.linalg.eigh(self.explained)
-        left = 1.0 - np.where(used, self.weight, 0.0)[:, None] * share
-        left = np.maximum(left, least)
+        remaining = 1.0 - np.where(used, self.weight, 0.0)[:, None] * share
+        remaining = np.maximum(remaining, least)
         along = np.einsum("mji,mj->mi", axes, self.residual)
-        return np.einsum("mi,mi->m", along / (left * (left + share)), along)
+        return np.einsum("mi,mi->m", along / (remaining * (remaining + share)), along)
 
     def white(self) -> Array:
         """Whitened innovations (M, r) of readings that were not used."""

@@ -55,7 +55,7 @@ class StartProblem:
     piece: Callable[[slice, State | None], Solution]
 
 
-_Elsewhere = Callable[[StartProblem, Solution | None, Start, Solve], Solution | None]
+_OtherStarts = Callable[[StartProblem, Solution | None, Start, Solve], Solution | None]
 
 
 def best_end(sought: StartProblem, start: Start, solve: Solve) -> Solution:
@@ -87,43 +87,43 @@ def best_end(sought: StartProblem, start: Start, solve: Solve) -> Solution:
 
 
 def _best_end(sought: StartProblem, start: Start, solve: Solve) -> Solution:
-    prior, elsewhere = sought.prior, _elsewhere(sought)
+    prior, try_others = sought.prior, _other_starts(sought)
     try:
-        end, elsewhere = _patient(sought, start, solve, elsewhere)
+        end, try_others = _solve_with_patience(sought, start, solve, try_others)
     except (np.linalg.LinAlgError, UnobservableError):
-        other = elsewhere(sought, None, start, solve) if elsewhere else None
-        if other is None or _is_astray(prior, other):
+        other = try_others(sought, None, start, solve) if try_others else None
+        if other is None or _is_suspect(prior, other):
             raise
         return other
     if start[0] is not None and _is_doubtful(end):
         with suppress(np.linalg.LinAlgError, UnobservableError):
-            end = max(end, solve((None, start[1]), None), key=partial(_worth, prior))
-    if elsewhere and _is_astray(prior, end):
-        end = elsewhere(sought, end, start, solve) or end
+            end = max(end, solve((None, start[1]), None), key=partial(_rank, prior))
+    if try_others and _is_suspect(prior, end):
+        end = try_others(sought, end, start, solve) or end
     return end
 
 
-def _patient(
-    sought: StartProblem, start: Start, solve: Solve, elsewhere: _Elsewhere | None
-) -> tuple[Solution, _Elsewhere | None]:
+def _solve_with_patience(
+    sought: StartProblem, start: Start, solve: Solve, try_others: _OtherStarts | None
+) -> tuple[Solution, _OtherStarts | None]:
     """Solve from a start; try others if the search is far from any minimum after many iterations.
 
     Returns:
         The solution, and the function that tries other starts unless it has been called.
     """
-    if elsewhere is None:
+    if try_others is None:
         return solve(start, None), None
     prior, options = sought.prior, sought.options
     end = solve(start, replace(options, max_iterations=min(options.max_iterations, _PATIENCE)))
     left = options.max_iterations - _PATIENCE
     if end.outcome is not Outcome.ITERATION_LIMIT or left <= 0:
-        return end, elsewhere
+        return end, try_others
     far = is_implausible(prior, end, _SUSPECT)
-    if far and (other := elsewhere(sought, end, start, solve)) and not _is_astray(prior, other):
+    if far and (other := try_others(sought, end, start, solve)) and not _is_suspect(prior, other):
         return other, None
-    onward = solve(start_at(end), replace(options, max_iterations=left))
-    onward = replace(onward, first_step=end.first_step)
-    return max(end, onward, key=partial(_worth, prior)), None if far else elsewhere
+    continued = solve(start_at(end), replace(options, max_iterations=left))
+    continued = replace(continued, first_step=end.first_step)
+    return max(end, continued, key=partial(_rank, prior)), None if far else try_others
 
 
 def start_at(solution: Solution) -> Start:
@@ -131,7 +131,7 @@ def start_at(solution: Solution) -> Start:
     return solution.state, solution.located.parameters.by_name()
 
 
-def _elsewhere(sought: StartProblem) -> _Elsewhere | None:
+def _other_starts(sought: StartProblem) -> _OtherStarts | None:
     """Function that tries other starts, or None where that costs too much, as pieces of a rod."""
     count, rod = sought.grid.time.size, isinstance(sought.prior, MechanicalPrior)
     if sought.options.max_iterations < _ROUGH_ITERATIONS or (rod and count > _OF_ROD):
@@ -147,13 +147,13 @@ def _from_bent(
     Returns `end`, which may be None, where no bent shape leads to a better solution.
     """
     prior, grid = sought.prior, sought.grid
-    best, worth = end, partial(_worth, prior)
+    best, worth = end, partial(_rank, prior)
     for bent in bent_starts(prior, grid, sought.readings):
         rough = sought.options.rougher(bent.numbers * grid.time.size)
         with suppress(np.linalg.LinAlgError, UnobservableError):
             rough_end = solve((bent, start[1]), replace(rough, max_iterations=_ROUGH_ITERATIONS))
             best = max(best or rough_end, rough_end, key=worth)
-            if not _is_astray(prior, best):
+            if not _is_suspect(prior, best):
                 break
     if best is None or best is end:
         return end
@@ -175,23 +175,23 @@ def _from_pieces(
     with suppress(np.linalg.LinAlgError, UnobservableError):
         for first in range(0, count - half, half):
             times = slice(first, min(first + _MOMENTS, count))
-            part = sought.piece(times, last and _onward(last, half, times.stop - first))
-            if _is_astray(sought.prior, part):
+            part = sought.piece(times, last and _tail_from(last, half, times.stop - first))
+            if _is_suspect(sought.prior, part):
                 return end
             last, skipped = part.state, half // 2 if first else 0
             for whole, own in zip(state.fields(), last.fields(), strict=True):
                 whole[first + skipped : times.stop] = own[skipped:]
         joined = solve((state, start[1]), None)
-        return max(end or joined, joined, key=partial(_worth, sought.prior))
+        return max(end or joined, joined, key=partial(_rank, sought.prior))
     return end
 
 
-def _onward(state: State, begin: int, count: int) -> State:
+def _tail_from(state: State, begin: int, count: int) -> State:
     """States (`count`, N) from time node `begin` on, the last one repeated as necessary."""
     return state.take(np.minimum(begin + np.arange(count), len(state.pose) - 1))
 
 
-def _is_astray(prior: Prior, end: Solution) -> bool:
+def _is_suspect(prior: Prior, end: Solution) -> bool:
     """Whether a solution did not converge, or has a cost that suggests a lower minimum."""
     return not end.outcome.sound or is_implausible(prior, end, _SUSPECT)
 
@@ -202,7 +202,7 @@ def _is_doubtful(solution: Solution) -> bool:
     return far or not solution.outcome.sound
 
 
-def _worth(prior: Prior, end: Solution) -> tuple[bool, bool, float]:
+def _rank(prior: Prior, end: Solution) -> tuple[bool, bool, float]:
     """Rank of a solution: a plausible cost first, then convergence, then a low cost.
 
     Where weights oscillate with the shape, the right shape may be found without convergence, and a

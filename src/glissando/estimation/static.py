@@ -58,7 +58,7 @@ _DOFS = slice(0, STATIC_DOF)
 _BLOCKS = 6.0  # square blocks that are stored for a node of a shape
 _SOFT_ITERATIONS = 8
 _NAMED = 10  # most shapes that a warning names
-_ASTRAY = (
+_REMEDY = (
     "Try a robust loss, more iterations (max_iterations), or leave out readings that disagree; "
     "where readings leave a shape open, sample_static draws those that explain them."
 )
@@ -120,10 +120,10 @@ def estimate_static(
     grid = Grid.apart(arclength, count)
     with one_thread():
         located = locate(grid, given)
-        state, (cov, cross), left = _together(prior, located, options)
-        left |= _contradicted(prior, located, state)
-    reports, refused = _complete(prior, grid, given, options, left, state, cov, cross)
-    _warn(reports)
+        state, (cov, cross), unsolved = _solve_jointly(prior, located, options)
+        unsolved |= _contradicted(prior, located, state)
+    reports, refused = _solve_remaining(prior, grid, given, options, unsolved, state, cov, cross)
+    _warn_of_shapes(reports)
     outcomes = tuple(
         reports[k].outcome if k in reports else Outcome.CONVERGED for k in range(count)
     )
@@ -145,19 +145,19 @@ def _contradicted(prior: Prior, located: LocatedReadings, state: State) -> NDArr
     return out & (read > _FEW)
 
 
-def _complete(
+def _solve_remaining(
     prior: Prior,
     grid: Grid,
     readings: Sequence[Readings],
     options: SolverOptions,
-    left: NDArray[np.bool_],
+    unsolved: NDArray[np.bool_],
     state: State,
     cov: Array,
     cross: Array,
 ) -> tuple[dict[int, SolveReport], dict[str, list[int]]]:
-    """Estimate each shape in `left` by itself, in place; return reports and refused rows."""
+    """Estimate each shape in `unsolved` by itself, in place; return reports and refused rows."""
     reports, refused = dict[int, SolveReport](), defaultdict[str, list[int]](list)
-    for k in np.flatnonzero(left):
+    for k in np.flatnonzero(unsolved):
         try:
             one = _alone(prior, grid.arclength, readings, int(k), options)
         except UnobservableError as error:
@@ -171,15 +171,15 @@ def _complete(
     return reports, {name: rows for name, rows in refused.items() if rows}
 
 
-def _warn(reports: Mapping[int, SolveReport]) -> None:
+def _warn_of_shapes(reports: Mapping[int, SolveReport]) -> None:
     """Warn of shapes that did not converge, and of those that readings contradict, by number.
 
     Each warning quotes the report of its first shape.
     """
-    astray = [k for k, report in reports.items() if not report.converged]
-    if astray:
-        first = reports[astray[0]]
-        words = [f"{_numbered(astray)} {first.status}.", first.worst, _ASTRAY]
+    failed = [k for k, report in reports.items() if not report.converged]
+    if failed:
+        first = reports[failed[0]]
+        words = [f"{_numbered(failed)} {first.status}.", first.worst, _REMEDY]
         warnings.warn(" ".join(filter(None, words)), NotConvergedWarning, stacklevel=3)
     doubtful = [k for k, report in reports.items() if report.converged and report.doubt]
     if doubtful:
@@ -211,7 +211,7 @@ def _count(readings: Sequence[Readings], nodes: int, count: int | None) -> int:
     return count
 
 
-def _together(prior: Prior, located: LocatedReadings, options: SolverOptions) -> Solved:
+def _solve_jointly(prior: Prior, located: LocatedReadings, options: SolverOptions) -> Solved:
     """Solve for all shapes together; where that breaks down, all are marked as not solved.
 
     Raises:
@@ -287,7 +287,7 @@ def _with_curvature(
     std = np.sqrt(np.einsum("snii->sni", cov))
     added = curvature(lambda at: static_factors(prior, located, at), state, step, std)
     whole = replace(here, system=with_curvature(here, added))
-    damped, found = whole.damped, node_covariances(whole, state)
-    for mine, before in zip(found, (cov, cross), strict=True):
-        mine[damped] = before[damped]
-    return found
+    damped, refined = whole.damped, node_covariances(whole, state)
+    for new, before in zip(refined, (cov, cross), strict=True):
+        new[damped] = before[damped]
+    return refined

@@ -52,34 +52,34 @@ def iterate(
             LinAlgError: a shape is too far off for weights to exist).
     """
     grid = located.grid
-    here = linearize_static(prior, located, _tame(grid, start, prior.rest_state(grid)), noise)
-    going, left = np.ones(len(here.rhs), dtype=bool), np.zeros(len(here.rhs), dtype=bool)
+    here = linearize_static(prior, located, _limited(grid, start, prior.rest_state(grid)), noise)
+    active, unsolved = np.ones(len(here.rhs), dtype=bool), np.zeros(len(here.rhs), dtype=bool)
     for _ in range(options.max_iterations):
         solved = here.cholesky.solve(here.rhs.reshape(-1, STATIC_DOF)).reshape(here.rhs.shape)
         step = np.zeros((*grid.shape, start.dof))
-        step[..., _DOFS] = solved * going[:, None, None]
-        promise = np.sum(step[..., _DOFS] * here.rhs, axis=(1, 2))
-        last = going & (np.sqrt(np.maximum(promise, 0.0)) < options.tolerance)
-        going &= ~last
+        step[..., _DOFS] = solved * active[:, None, None]
+        predicted = np.sum(step[..., _DOFS] * here.rhs, axis=(1, 2))
+        last = active & (np.sqrt(np.maximum(predicted, 0.0)) < options.tolerance)
+        active &= ~last
         straight = here.state.retract(step)
-        if not np.any(going):
+        if not np.any(active):
             break
-        stepped = linearize_static(prior, located, _tame(grid, straight, here.state), noise)
-        refused = going & ~_worthwhile(here, stepped, promise)
+        stepped = linearize_static(prior, located, _limited(grid, straight, here.state), noise)
+        refused = active & ~_worthwhile(here, stepped, predicted)
         for share in _SHARES:
             if not np.any(refused):
                 break
-            bent = _tame(grid, prior.retract_strains(grid, here.state, share * step), here.state)
-            stepped = linearize_static(prior, located, _chosen(refused, bent, stepped.state), noise)
-            refused &= ~_worthwhile(here, stepped, share * promise)
+            bent = _limited(grid, prior.retract_strains(grid, here.state, share * step), here.state)
+            stepped = linearize_static(prior, located, _select(refused, bent, stepped.state), noise)
+            refused &= ~_worthwhile(here, stepped, share * predicted)
         if np.any(refused):
-            left, going = left | refused, going & ~refused
-            state = _chosen(refused, prior.rest_state(grid), stepped.state)
+            unsolved, active = unsolved | refused, active & ~refused
+            state = _select(refused, prior.rest_state(grid), stepped.state)
             stepped = linearize_static(prior, located, state, noise)
         here = stepped
-    left |= going | here.damped | implausible(prior, here.costs(here), _numbers_read(located))
-    end = here.state if np.any(going) else straight
-    return end, node_covariances(here, end), left
+    unsolved |= active | here.damped | implausible(prior, here.costs(here), _numbers_read(located))
+    end = here.state if np.any(active) else straight
+    return end, node_covariances(here, end), unsolved
 
 
 def _numbers_read(located: LocatedReadings) -> NDArray[np.intp]:
@@ -109,23 +109,23 @@ def node_covariances(here: StaticEquations, end: State) -> tuple[Array, Array]:
 
 
 def _worthwhile(
-    here: StaticEquations, stepped: StaticEquations, promise: Array
+    here: StaticEquations, stepped: StaticEquations, predicted: Array
 ) -> NDArray[np.bool_]:
-    """Mask (S,) of costs that fell by a share of `promise` / 2, or that only rounding can lower."""
+    """Mask (S,) of costs that fell by a share of `predicted` / 2, or can fall only by rounding."""
     cost = here.costs(here)
     gain = cost - here.costs(stepped)
-    nothing = 0.5 * promise < ROUNDING * (1.0 + cost)
-    return nothing | (gain > WORTHWHILE * 0.5 * promise)
+    nothing = 0.5 * predicted < ROUNDING * (1.0 + cost)
+    return nothing | (gain > WORTHWHILE * 0.5 * predicted)
 
 
-def _tame(grid: Grid, state: State, before: State) -> State:
+def _limited(grid: Grid, state: State, before: State) -> State:
     """The shapes (S, N), with those that turn too far between two nodes replaced by `before`."""
     widest = np.max(np.diff(grid.arclength), initial=0.0)
     turn = widest * np.max(np.linalg.norm(state.strain[..., 3:], axis=-1), axis=1)
-    return _chosen(~(turn < _MOST), before, state)  # also if it is NaN
+    return _select(~(turn < _MOST), before, state)  # also if it is NaN
 
 
-def _chosen(where: NDArray[np.bool_], one: State, other: State) -> State:
+def _select(where: NDArray[np.bool_], one: State, other: State) -> State:
     """State with `one` in the shapes of the mask `where` (S,), and `other` in the rest."""
     pairs = zip(one.fields(), other.fields(), strict=True)
     return State(*(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in pairs))

@@ -85,11 +85,11 @@ def sample_static(
     load_kernels(prior, "static_steps")
     rng = np.random.default_rng(0) if rng is None else rng
     with one_thread():
-        located = _copies(arclength, [r for r in readings if len(r)], min(_TOGETHER, size))
-        return _collected(prior, located, size, rng)
+        located = _repeated(arclength, [r for r in readings if len(r)], min(_TOGETHER, size))
+        return _collect_draws(prior, located, size, rng)
 
 
-def _collected(
+def _collect_draws(
     prior: Prior, located: LocatedReadings, size: int, rng: np.random.Generator
 ) -> State:
     """Shapes (size, N) from as many rounds of draws as are necessary.
@@ -102,9 +102,9 @@ def _collected(
     tried, missing, among_found = 0, size, False
     while missing and tried < _TRIES * size:
         known = concatenate(*collected) if among_found else None
-        shapes, left = _drawn(prior, located, rng, known)
-        collected.append(shapes.take(np.flatnonzero(~left)[:missing]))
-        tried, missing = tried + len(left), missing - len(collected[-1].pose)
+        shapes, failed = _draw_shapes(prior, located, rng, known)
+        collected.append(shapes.take(np.flatnonzero(~failed)[:missing]))
+        tried, missing = tried + len(failed), missing - len(collected[-1].pose)
         among_found = 0 < size - missing < _RARE * tried and not among_found
     if missing:
         raise GlissandoError(
@@ -114,7 +114,7 @@ def _collected(
     return concatenate(*collected)
 
 
-def _copies(arclength: ArrayLike, readings: Sequence[Readings], count: int) -> LocatedReadings:
+def _repeated(arclength: ArrayLike, readings: Sequence[Readings], count: int) -> LocatedReadings:
     """The readings, repeated for each of `count` shapes."""
     copied = []
     for r in readings:
@@ -123,7 +123,7 @@ def _copies(arclength: ArrayLike, readings: Sequence[Readings], count: int) -> L
     return locate(Grid.apart(arclength, count), copied)
 
 
-def _drawn(
+def _draw_shapes(
     prior: Prior, located: LocatedReadings, rng: np.random.Generator, known: State | None
 ) -> tuple[State, NDArray[np.bool_]]:
     """Shapes (S, N) for newly drawn errors, and the mask (S,) of those not found.
@@ -145,5 +145,5 @@ def _drawn(
     else:
         start = known.take(rng.integers(len(known.pose), size=grid.time.size))
         start = start.with_fields_of(rest)
-    shapes, _, left = iterate(prior, located, start, _OPTIONS, noise)
-    return State(shapes.pose, shapes.strain, np.zeros_like(shapes.strain)), left
+    shapes, _, failed = iterate(prior, located, start, _OPTIONS, noise)
+    return State(shapes.pose, shapes.strain, np.zeros_like(shapes.strain)), failed

@@ -123,16 +123,16 @@ def _shapes(
         yield replicate, equilibrium(rod, displacement=pulled, start=near.strain)
 
 
-def _jackknife(off: list[Array]) -> Array:
+def _jackknife(deviations: list[Array]) -> Array:
     """Jackknife covariance (…, d, d) from the deviations (…, d) of n replicates."""
-    return (len(off) - 1) / max(len(off), 1) * _squares(off)
+    return (len(deviations) - 1) / max(len(deviations), 1) * _squares(deviations)
 
 
-def _squares(off: list[Array]) -> Array:
+def _squares(deviations: list[Array]) -> Array:
     """Sum (…, d, d) of the outer products of deviations (…, d)."""
-    if not off:
+    if not deviations:
         return np.zeros(())
-    every = np.stack(off, axis=-1)
+    every = np.stack(deviations, axis=-1)
     return np.asarray(every @ np.swapaxes(every, -1, -2))
 
 

@@ -44,7 +44,7 @@ class WindowFactors:
         summed = ["white_noise"] if type(prior) is WhiteNoisePrior else []
         load_kernels(prior, "static_steps", "window", *summed)
         self.prior, self._arclength, self._parameters = prior, arclength, tuple(parameters)
-        self._believed = prior  # without transport by roll, once readings resolve the axes
+        self._used_prior = prior  # without transport by roll, once readings resolve the axes
         self.dating: DelayDating | None = None
         self.terms: list[LinearizedReadings] = []
         if type(prior) is WhiteNoisePrior:
@@ -54,7 +54,7 @@ class WindowFactors:
         """A copy with another prior."""
         out = copy(self)
         if prior is not self.prior:
-            out.prior = out._believed = prior
+            out.prior = out._used_prior = prior
         return out
 
     def takes_as_row(self, readings: Readings) -> bool:
@@ -69,7 +69,7 @@ class WindowFactors:
         """Linearise the intervals of nodes on a grid and sum their factors."""
         self.terms, self.held = [], readings
         self._keep_axes(readings.streams)
-        prior, state = self._believed, nodes.state
+        prior, state = self._used_prior, nodes.state
         if type(prior) is WhiteNoisePrior and self.dating is None:
             densities, rows = (self._along, prior.time_densities(grid.time)), readings.which
             memory = *readings.rows.memory, rows
@@ -86,10 +86,10 @@ class WindowFactors:
 
     def _keep_axes(self, streams: Sequence[Readings]) -> None:
         """Omit transport by roll from the prior, once a stream resolves the body's axes."""
-        if self._believed is self.prior and any(r.resolves_axes for r in streams):
-            self._believed = without_roll_transport(self.prior)
-            if type(self._believed) is WhiteNoisePrior:
-                self._along = self._believed.arclength_densities(self._arclength)
+        if self._used_prior is self.prior and any(r.resolves_axes for r in streams):
+            self._used_prior = without_roll_transport(self.prior)
+            if type(self._used_prior) is WhiteNoisePrior:
+                self._along = self._used_prior.arclength_densities(self._arclength)
 
     def _add_streams(
         self,

@@ -58,7 +58,7 @@ class WindowSteps:
         self.update = GatedUpdate(window, self.buffer, self.gate)
         self.updates = self.restarts = 0
         self._least = (1.0 + _ROUNDED) * window.prior.least_step(window.arclength)
-        self._asked = -np.inf
+        self._requested = -np.inf
         self._started = self._explained = False
         self._oldest, self._pause = -np.inf, ReadingPause()
 
@@ -77,7 +77,7 @@ class WindowSteps:
         Raises:
             OutsideGridError: The time lies seconds before the window.
         """
-        self._asked, time = time, self._new_time(time)
+        self._requested, time = time, self._new_time(time)
         with one_thread():
             self.buffer.refuse_ahead(max(time, self.time or time))
             while self._step(self._next_node(time)) < time:
@@ -87,7 +87,7 @@ class WindowSteps:
     def behind(self) -> bool:
         """Whether the newest node is older than the requested time, as nodes were too close."""
         newest = self.time
-        return newest is not None and self._asked - newest > _MERGED * self._pause.step
+        return newest is not None and self._requested - newest > _MERGED * self._pause.step
 
     def ahead(self, time: float) -> SlidingWindow:
         """The window, or a copy with more nodes for a time ahead of it.
@@ -288,7 +288,7 @@ class WindowSteps:
             if not restart:
                 raise error
             self._restart(since, fresh)
-        except _BREAKDOWNS as again:
+        except _BREAKDOWNS as second:
             prior, grid = self.window.prior, self.window.grid()
             streams = self.buffer.streams(-np.inf)
             far = None if self._explained else unreachable_readings(grid, prior, streams)
@@ -296,7 +296,7 @@ class WindowSteps:
                 self.update.refuse(fresh)
                 self._begin_again(newest, fresh)
             if far or not prior.fixes_base:
-                raise breakdown(again, grid, prior, streams) from again
+                raise breakdown(second, grid, prior, streams) from second
 
     def _solve(self, first: int, fresh: Counter[str]) -> None:
         """Solve from a node on, with the new readings that pass the gate."""

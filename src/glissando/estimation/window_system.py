@@ -23,7 +23,7 @@ from glissando.model.grid import Index
 from glissando.solver.block_tridiagonal import BlockTridiagonal, Cholesky, eliminate
 from glissando.solver.normal_equations import Layout, NormalEquationsBuilder
 
-_ROOM = 8  # slabs for which memory is allocated at first
+_FIRST_SLABS = 8  # slabs for which memory is allocated at first
 
 
 class WindowSystem:
@@ -40,12 +40,12 @@ class WindowSystem:
     def __init__(self, layout: Layout, info: Array, rhs: Array) -> None:
         """Begin with one slab, on which the prior is `info` (D, D) and `rhs` (D,)."""
         self.layout, self.intact = layout, 0
-        self._make_room(_ROOM)
+        self._allocate(_FIRST_SLABS)
         self._slot = np.zeros(1, dtype=np.intp)
         self.info[:], self.rhs = info, rhs
         self._vectors[SCALE, 0] = np.diagonal(info)
 
-    def _make_room(self, room: int) -> None:
+    def _allocate(self, room: int) -> None:
         size = self.layout.size
         self._blocks = np.zeros((COUPLING + 1, room, size, size))
         self._vectors = np.empty((SCALE + 1, room, size))
@@ -73,13 +73,13 @@ class WindowSystem:
     def copied(self) -> WindowSystem:
         """A copy with its own memory."""
         out = copy(self)
-        out._keep(self._slot, self._blocks.shape[1])
+        out._reallocate(self._slot, self._blocks.shape[1])
         return out
 
-    def _keep(self, slot: Index, room: int) -> None:
+    def _reallocate(self, slot: Index, room: int) -> None:
         """Copy slabs to the front of newly allocated memory."""
         blocks, vectors, aside, count = self._blocks, self._vectors, self._aside, len(slot)
-        self._make_room(room)
+        self._allocate(room)
         self._blocks[:, :count], self._vectors[:, :count] = blocks[:, slot], vectors[:, slot]
         self._aside[:, :count] = aside[:, slot]
         self._slot = np.arange(count)
@@ -88,7 +88,7 @@ class WindowSystem:
         """Append a slab without information."""
         room, slots = self._blocks.shape[1], self._slot.tolist()
         if len(slots) == room:
-            self._keep(self._slot, 2 * room)
+            self._reallocate(self._slot, 2 * room)
             slots = self._slot.tolist()
         self._slot = np.array([*slots, min(set(range(len(slots) + 1)).difference(slots))])
 

@@ -42,9 +42,9 @@ def curvature(linearize: Linearize, state: State, step: Array, std: Array) -> Bl
     diagonal = np.zeros((count * n_count, STATIC_DOF, STATIC_DOF))
     lower = np.zeros((count * n_count - 1, STATIC_DOF, STATIC_DOF))
     scale, step = _NUDGE * std.reshape(-1, STATIC_DOF), step.reshape(-1, STATIC_DOF)
-    here = list(linearize(state))
-    multipliers = [_multiplier(batch, step) for batch in here]
-    gradients = [_gradient(*pair) for pair in zip(here, multipliers, strict=True)]
+    batches = list(linearize(state))
+    multipliers = [_multiplier(batch, step) for batch in batches]
+    gradients = [_gradient(*pair) for pair in zip(batches, multipliers, strict=True)]
     for parity, column in np.ndindex(2, STATIC_DOF):
         nudge = np.zeros((count, n_count, state.dof))
         nudge[:, parity::2, column] = scale.reshape(std.shape)[:, parity::2, column]

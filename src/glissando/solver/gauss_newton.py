@@ -247,14 +247,14 @@ class _Iteration:
         self._damping.adapt(gain)
         settled = self._steps.idle and not gain > WORTHWHILE
         if self._fixed is not None and self._steps.stall(self._here.cost_of(self._here)):
-            settled |= self._here.located.moves or self._creeps_to_its_end(way.cholesky)
+            settled |= self._here.located.moves or self._is_damped_near_minimum(way.cholesky)
         if settled:
             return Outcome.CONVERGED
         if self._damping.exhausted:
             return Outcome.NO_DESCENT
         return Outcome.ITERATION_LIMIT if self._count >= self._options.max_iterations else None
 
-    def _creeps_to_its_end(self, memory: Cholesky) -> bool:
+    def _is_damped_near_minimum(self, memory: Cholesky) -> bool:
         """Whether the last steps were damped and a whole one with renewed weights is negligible."""
         if not self._steps.creep:
             return False

@@ -75,8 +75,8 @@ class LocatedReadings:
 
     def factor_prior(self, prior: Prior) -> Prior:
         """The prior, without transport by roll if any of the readings resolve the body's axes."""
-        tell = any(stream.resolves_axes for stream in self.streams)
-        return without_roll_transport(prior) if tell else prior
+        resolving = any(stream.resolves_axes for stream in self.streams)
+        return without_roll_transport(prior) if resolving else prior
 
     def moved(self, step: Array) -> LocatedReadings:
         """The readings after a step (K, E) of the sensor parameters, located again if shifted."""
@@ -152,10 +152,10 @@ def _batches(
         return [[] for _ in blocks]
     begins = np.cumsum([0, *map(len, streams)])
     displaced = [parameters.displaced(r) for r in streams]
-    counted = _joined(displaced)[1] < reads_from(float(grid.time[0]), grid.before)
-    counted &= grid.before is not None
+    used_before = _joined(displaced)[1] < reads_from(float(grid.time[0]), grid.before)
+    used_before &= grid.before is not None
     streams = [
-        r if moved is r else _kept_on(grid, moved)
+        r if moved is r else _clamped_to(grid, moved)
         for r, moved in zip(streams, displaced, strict=True)
     ]
     arclength, time = _joined(streams)
@@ -163,7 +163,7 @@ def _batches(
     block_of = np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)
     batches: list[list[ReadingBatch]] = []
     for i in range(len(blocks)):
-        in_block = np.flatnonzero((block_of == i) & ~counted)
+        in_block = np.flatnonzero((block_of == i) & ~used_before)
         batches.append([])
         for points in sort_points(grid, arclength[in_block], time[in_block]):
             own = in_block[points.rows]
@@ -180,7 +180,7 @@ def _batches(
     return batches
 
 
-def _kept_on(grid: Grid, readings: Readings) -> Readings:
+def _clamped_to(grid: Grid, readings: Readings) -> Readings:
     """Readings with arclengths and times clamped to the grid."""
     return readings.changed(
         arclength=np.clip(readings.arclength, grid.arclength[0], grid.arclength[-1]),

@@ -55,10 +55,10 @@ def measurement_factors(
             if isinstance(readings, AccelerometerReadings):
                 place = located.grid, state, noise_state, readings.arclength, readings.time
                 own = accelerated(prior, *place, float(readings.span[0]))
-            aside, beside = None, readings.beside  # on a start's coarser nodes places are fixed
+            at_all, beside = None, readings.beside  # on a start's coarser nodes places are fixed
             if beside is not None and beside.shape[2] == located.grid.arclength.size:
-                aside = _along(prior, located.grid, state, noise_state, readings)
-            yield stream, rows, _factor(readings, own, located.parameters, slopes[stream], aside)
+                at_all = _states_at_all_nodes(prior, located.grid, state, noise_state, readings)
+            yield stream, rows, _factor(readings, own, located.parameters, slopes[stream], at_all)
 
 
 def _factor(
@@ -66,11 +66,11 @@ def _factor(
     at: Interpolation,
     parameters: ParameterValues,
     slopes: dict[str, Array],
-    aside: Interpolation | None = None,
+    at_all: Interpolation | None = None,
 ) -> Factors:
     """Factors of readings at states `at`, with the states' slopes (M, 18) in arclength or time.
 
-    The arclengths of the readings depend on the states `aside` (M · N) at all arclength nodes, if
+    The arclengths of the readings depend on the states `at_all` (M · N) at all arclength nodes, if
     these are given.
     """
     if readings.accelerates and any(p.moves for p, _ in parameters.of(readings)):
@@ -78,17 +78,17 @@ def _factor(
             f"{readings.label}: where and when an accelerometer reads is not estimated; state "
             f"offsets and lags of its stream as known, without a std."
         )
-    own, now, weights, left = parameters.of(readings), *np.zeros((3, len(readings), 0))
+    own, now, weights, residual_cov = parameters.of(readings), *np.zeros((3, len(readings), 0))
     if own:
-        now, weights, left = parameters.between(readings.time)
+        now, weights, residual_cov = parameters.between(readings.time)
     corrected = parameters.corrected(readings, now)
     residual, by_state = _checked(corrected, at)
     cov = corrected.cov
-    if aside is not None and corrected.beside is not None:
-        lean = np.einsum("mrd,md->mr", by_state, slopes["arclength"])
+    if at_all is not None and corrected.beside is not None:
+        by_arclength = np.einsum("mrd,md->mr", by_state, slopes["arclength"])
         travel, strain = np.moveaxis(corrected.beside, 1, 0)
-        gap = aside.state.strain.reshape(strain.shape) - strain
-        residual = residual + lean * np.einsum("mni,mni->m", travel, gap)[:, None]
+        gap = at_all.state.strain.reshape(strain.shape) - strain
+        residual = residual + by_arclength * np.einsum("mni,mni->m", travel, gap)[:, None]
     if "arclength" in slopes:
         along = np.einsum("mrd,md->mr", by_state, slopes["arclength"])
         var = np.broadcast_to(corrected.arclength_std**2, along.shape[:1])
@@ -98,7 +98,7 @@ def _factor(
         by_extras = np.zeros((*by_state.shape[:2], parameters.process.size))
         for columns, slope in _by_parameters(readings, corrected, at, by_state, own, slopes, now):
             by_extras[..., columns] = slope
-        cov = cov + (by_extras * left[:, None]) @ np.swapaxes(by_extras, -1, -2)
+        cov = cov + (by_extras * residual_cov[:, None]) @ np.swapaxes(by_extras, -1, -2)
         extras = (by_extras[:, :, None] * weights[:, None]).reshape(*residual.shape, -1)
     m, r = residual.shape
     by_nodes, whitener = kernels.at_nodes(
@@ -106,30 +106,30 @@ def _factor(
     )
     terms = Residuals(residual, whitener, corrected.loss)
     nodes = at.nodes
-    if aside is not None:
-        nodes, by_nodes = _with_travel(nodes, by_nodes, lean, travel, aside)
+    if at_all is not None:
+        nodes, by_nodes = _with_travel(nodes, by_nodes, by_arclength, travel, at_all)
     return Factors(nodes, slice(0, at.dof), by_nodes, terms, extras)
 
 
 def _with_travel(
-    nodes: Index, by_nodes: Array, lean: Array, slope: Array, aside: Interpolation
+    nodes: Index, by_nodes: Array, by_arclength: Array, slope: Array, at_all: Interpolation
 ) -> tuple[Index, Array]:
     """Nodes and Jacobians of readings whose arclength depends on the strain along the robot.
 
     Args:
         nodes: Nodes (M, c) around the readings.
         by_nodes: Jacobians (M, r, c, dof) of the residuals by these nodes.
-        lean: Derivatives (M, r) of the residuals by the arclength.
+        by_arclength: Derivatives (M, r) of the residuals by the arclength.
         slope: Derivatives (M, N, 6) of the arclength by the strain at the arclength nodes.
-        aside: States at the arclength nodes at the times of the readings.
+        at_all: States at the arclength nodes at the times of the readings.
 
     Source: (M8).
     """
     m, n = slope.shape[:2]
-    every = aside.nodes.reshape(m, -1)
-    inner = aside.jacobian.reshape(m, n, DOF, -1, aside.dof)[:, :, STRAIN]
+    every = at_all.nodes.reshape(m, -1)
+    inner = at_all.jacobian.reshape(m, n, DOF, -1, at_all.dof)[:, :, STRAIN]
     by_strain = np.einsum("mni,mnicd->mncd", slope, inner).reshape(m, every.shape[1], -1)
-    wide = lean[:, :, None, None] * by_strain[:, None]
+    wide = by_arclength[:, :, None, None] * by_strain[:, None]
     rows = np.arange(m)
     for j in range(nodes.shape[1]):
         where = (every == nodes[:, j, None]).argmax(axis=1)
@@ -137,7 +137,7 @@ def _with_travel(
     return every, np.ascontiguousarray(wide)
 
 
-def _along(
+def _states_at_all_nodes(
     prior: Prior, grid: Grid, state: State, noise_state: State, readings: Readings
 ) -> Interpolation:
     """States (M · N) at all arclength nodes at the times of readings, all on or all off nodes."""

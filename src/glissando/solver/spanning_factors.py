@@ -56,14 +56,16 @@ def spanning_factor(
     at, parts = interpolated(prior, located.grid, state, noise_state, *every)
     before = np.searchsorted(located.grid.time, every[1], side="right") - 1
     on_node = every[0], located.grid.time[np.maximum(before, 0)]
-    _, still = interpolated(prior, located.grid, state, noise_state, *on_node)
+    _, on_nodes = interpolated(prior, located.grid, state, noise_state, *on_node)
     at, inner = at.reshape(len(readings), s.size), np.searchsorted(s, nodes)  # places of nodes
     residual, by_state = readings.residual_over(s, at), readings.jacobian_over(s, at)
-    here, by_nodes = _through(parts, by_state, located.grid.arclength.size)
-    left = _in_time(by_state, _between(_open(parts, s.size), s, inner))
-    left += _along(by_state[..., STRAIN], _open(still, s.size)[..., :6, :6], s, inner)
-    terms = Residuals(residual, sqrt_information(readings.cov + left), readings.loss)
-    return Factors(here, slice(0, state.dof), whole(by_nodes.swapaxes(1, 2)), terms)
+    nodes_read, by_nodes = _jacobians_by_nodes(parts, by_state, located.grid.arclength.size)
+    bridge_cov = _cov_in_time(by_state, _between_nodes(_cov_given_nodes(parts, s.size), s, inner))
+    bridge_cov += _cov_in_arclength(
+        by_state[..., STRAIN], _cov_given_nodes(on_nodes, s.size)[..., :6, :6], s, inner
+    )
+    terms = Residuals(residual, sqrt_information(readings.cov + bridge_cov), readings.loss)
+    return Factors(nodes_read, slice(0, state.dof), whole(by_nodes.swapaxes(1, 2)), terms)
 
 
 def _refined(nodes: Array, longest: float) -> Array:
@@ -76,7 +78,7 @@ def _refined(nodes: Array, longest: float) -> Array:
     return np.sort(np.concatenate(out))
 
 
-def _through(parts: Parts, by_state: Array, n_count: int) -> tuple[Index, Array]:
+def _jacobians_by_nodes(parts: Parts, by_state: Array, n_count: int) -> tuple[Index, Array]:
     """Nodes (M, c) that readings depend on, and Jacobians (M, c, r, dof) by them.
 
     Args:
@@ -100,7 +102,7 @@ def _through(parts: Parts, by_state: Array, n_count: int) -> tuple[Index, Array]
     return nodes, by_nodes
 
 
-def _open(parts: Parts, places: int) -> Array:
+def _cov_given_nodes(parts: Parts, places: int) -> Array:
     """Covariances (M, P, 18, 18) of interpolation given the nodes, at the places of readings."""
     cov: Array = np.empty((sum(rows.size for rows, _ in parts), DOF, DOF))
     for rows, part in parts:
@@ -108,7 +110,7 @@ def _open(parts: Parts, places: int) -> Array:
     return cov.reshape(-1, places, DOF, DOF)
 
 
-def _between(cov: Array, s: Array, nodes: Index) -> Array:
+def _between_nodes(cov: Array, s: Array, nodes: Index) -> Array:
     """Covariances (M, P, 18, 18) at places `s` (P,), linear between those at the nodes."""
     begin = nodes[np.searchsorted(nodes[1:-1], np.arange(s.size), side="right")]
     end = nodes[np.searchsorted(nodes, begin) + 1]
@@ -116,7 +118,7 @@ def _between(cov: Array, s: Array, nodes: Index) -> Array:
     return np.asarray(cov[:, begin] * (1.0 - share) + cov[:, end] * share)
 
 
-def _in_time(by_state: Array, cov: Array) -> Array:
+def _cov_in_time(by_state: Array, cov: Array) -> Array:
     """Covariances (M, r, r) of readings from interpolation in time.
 
     Args:
@@ -124,11 +126,11 @@ def _in_time(by_state: Array, cov: Array) -> Array:
         cov: Covariances (M, P, 18, 18) of these states given the nodes.
     """
     common = np.sum(by_state.swapaxes(1, 2) @ symmetric_root(cov), axis=1)
-    left: Array = common @ common.swapaxes(1, 2)
-    return left
+    cov_readings: Array = common @ common.swapaxes(1, 2)
+    return cov_readings
 
 
-def _along(by_strain: Array, cov: Array, s: Array, nodes: Index) -> Array:
+def _cov_in_arclength(by_strain: Array, cov: Array, s: Array, nodes: Index) -> Array:
     """Covariances (M, r, r) of readings from interpolation in arclength.
 
     Errors of different intervals are independent. The strain's error is the derivative of the
@@ -145,8 +147,8 @@ def _along(by_strain: Array, cov: Array, s: Array, nodes: Index) -> Array:
     weight = by_strain / (0.5 * (np.append(steps, 0.0) + np.append(0.0, steps)))[:, None]
     weight = 0.5 * (weight[:, :, :-1] + weight[:, :, 1:])
     sums = np.add.reduceat(weight.swapaxes(1, 2) @ np.diff(root, axis=1), nodes[:-1], axis=1)
-    left: Array = np.einsum("mkra,mkqa->mrq", sums, sums)
-    return left
+    cov_readings: Array = np.einsum("mkra,mkqa->mrq", sums, sums)
+    return cov_readings
 
 
 def interpolated(

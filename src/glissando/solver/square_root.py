@@ -73,20 +73,20 @@ def root_information(
         for k, at, slopes in zip(first, column, jacobian, strict=True):
             rows[k].append((at, slopes))
     out = RootInformation(np.empty((count, size, size)), np.empty((count - 1, size, size)))
-    left = np.zeros((0, size))
+    remainder = np.zeros((0, size))
     with one_thread():
         for k in range(count):
-            wide = np.hstack([left, np.zeros_like(left)])
-            tall = np.vstack([wide, *(_spread(*row, 2 * size) for row in rows[k])])
+            wide = np.hstack([remainder, np.zeros_like(remainder)])
+            tall = np.vstack([wide, *(_expanded(*row, 2 * size) for row in rows[k])])
             root: Array = np.asarray(np.linalg.qr(tall[:, : size * min(2, count - k)], mode="r"))
             out.diagonal[k] = root[:size, :size]
             if k + 1 < count:
                 out.beside[k] = root[:size, size:]
-            left = root[size:, size:]
+            remainder = root[size:, size:]
     return out
 
 
-def _spread(columns: Index, slopes: Array, width: int) -> Array:
+def _expanded(columns: Index, slopes: Array, width: int) -> Array:
     """Rows (r, width) with Jacobians (r, c, d) by c nodes, whose first columns are (c,)."""
     out = np.zeros((len(slopes), width))
     for a, at in enumerate(columns):

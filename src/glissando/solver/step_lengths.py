@@ -56,11 +56,11 @@ class StepLengths:
         before = np.inf if damped else self._renewed if renewed else self.length
         if np.isnan(self.first):
             self.first = length
-        self._move(length, damped=damped, renewed=renewed)
+        self._record_move(length, damped=damped, renewed=renewed)
         self._damped = self._damped + 1 if damped else 0
         self.idle = not damped and length < _IDLE * self._tolerance
         rate = length / before if before else np.inf
-        self.short = not damped and (self._is_short(length, rate) or self._is_over)
+        self.short = not damped and (self._is_short(length, rate) or self._rounds_converged)
         self.doubtful = not self._kinks and length > _SLOWEST * self._tolerance
         if renewed:
             small = length < self._tolerance and turns_back
@@ -71,12 +71,12 @@ class StepLengths:
     def confirms(self, length: float) -> bool:
         """Whether a next step of this length is as short as the last one predicts."""
         rate = length / self.length
-        if self._is_over:
+        if self._rounds_converged:
             return length <= self._longest
         sure = rate < _FALLING or length < _SURE * self._tolerance
         return sure and self._is_short(length, rate)
 
-    def _move(self, length: float, *, damped: bool, renewed: bool) -> None:
+    def _record_move(self, length: float, *, damped: bool, renewed: bool) -> None:
         """Record the lengths of undamped steps, one for each state."""
         if damped:
             self._moves = []
@@ -91,24 +91,24 @@ class StepLengths:
         return max(self._moves[-_ROUND:], default=np.inf)
 
     @property
-    def _is_over(self) -> bool:
+    def _rounds_converged(self) -> bool:
         """Whether rounds of steps that shrink like the last round leave a negligible distance."""
         if len(self._moves) < 2 * _ROUND:
             return False
         before, last = self._moves[:_ROUND], self._moves[_ROUND:]
         rates = [late / early for early, late in zip(before, last, strict=True)]
         rate = max(*rates, (last[-1] / last[0]) ** (_ROUND / (_ROUND - 1)))
-        left = _ROUND * self._longest * rate / max(1.0 - rate, _SLOWEST)
-        return max(self._longest, left) < self._tolerance
+        remaining = _ROUND * self._longest * rate / max(1.0 - rate, _SLOWEST)
+        return max(self._longest, remaining) < self._tolerance
 
     def _is_short(self, length: float, rate: float) -> bool:
         """Whether a step, `rate` times as long as the one before, is short enough to end with."""
         if self._kinks:
             return length < self._tolerance or (self.idle and rate > _CALMER)
-        left = length * max(rate, _STEADY) / max(1.0 - rate, _SLOWEST)
+        remaining = length * max(rate, _STEADY) / max(1.0 - rate, _SLOWEST)
         if not self._weighted and 0.0 < rate < _FALLING:
-            return left < self._tolerance
-        return max(length, left) < self._tolerance
+            return remaining < self._tolerance
+        return max(length, remaining) < self._tolerance
 
     @property
     def creep(self) -> bool:
