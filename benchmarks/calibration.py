@@ -69,7 +69,8 @@ def main() -> int:
     errors, std = (np.array([getattr(t, name) for t in trials]) for name in ("off", "std"))
     count, size = errors.shape
     print(f"{count} sessions, seeds {seeds[0]} to {seeds[-1]}, {rigs.LONGER:g} s each\n")
-    print("| | RMS of errors | largest | stated std | squares by stated |\n|---|---|---|---|---|")
+    heads = "RMS error | largest error | stated std | mean square error over stated variance"
+    print(f"| | {heads} |\n|---|---|---|---|---|")
     good = True
     for name, (label, unit, most) in SHOWN.items():
         k = PARAMETERS.index(name)
