@@ -151,7 +151,7 @@ def rows(folder):
 
 
 HEAD = """\
-| robot file | recording | samples | claimed | seen, 95 % interval | RMSE (mm) | within |
+| robot file | recording | samples | claimed | observed, 95 % interval | RMSE (mm) | within |
 |---|---|---|---|---|---|---|"""
 
 
@@ -166,7 +166,7 @@ def line(row):
         f"| {row['robot']} | {row['recording']}{span} | {row['samples']} | {100 * LEVEL:g} % | "
         f"{100 * row['seen']:.1f} % ({interval}) | {row['rmse_mm']:.2f} | {verdict}"
         f"{'' if row['converged'] else ', not converged'}"
-        f"{', said to be too sure' if row.get('doubted') else ''} |"
+        f"{', with a warning' if row.get('doubted') else ''} |"
     )
 
 

@@ -51,10 +51,11 @@ TEXT = """\
 
 `python benchmarks/confidence.py` measures every number on this page and writes it.
 
-## Claimed against seen
+## Claimed and observed coverage
 
-The share of true positions inside their 95 % ellipsoid, by robot file and recording. A shipped file
-is meant to stay within 88 to 99 %, the file of `glissando robot new` within 85 to 99.5 %.
+The table gives the share of true positions inside their 95 % ellipsoid, by robot file and
+recording. The target is 88 to 99 % for a shipped file, and 85 to 99.5 % for a file of `glissando
+robot new`.
 
 ```
 python benchmarks/claimed.py
@@ -63,18 +64,19 @@ python benchmarks/claimed.py --recording FOLDER --robot FILE --window T0 T1
 
 {claimed}
 
-In its last seconds `fast_contact` moves little, and all of it is inside every ellipsoid. The rod of
-`extensible` begins squeezed to 0.16 of its length and has a tracker at the end of each third. A
-file that says so is true; one with the 5 % of stretch that are taken where nothing is stated
-excludes what the robot does, and no broad number mends that. `estimate` then says that its
-confidence is false: it warns where more than a tenth of a stream's readings lie farther from the
-estimate than one in a thousand should. Of a stream with a robust loss only those count that lie off
-like the reading beside them, as outliers do not.
+In the last seconds of `fast_contact` the robot moves little, and all samples are inside every
+ellipsoid. The rod of `extensible` begins compressed to 0.16 of its length and has a tracker at
+the end of each third. A file that states this stretch has true confidence. A file with the
+default stretch of 5 % excludes the actual shapes, and its other settings, however wide, cannot
+compensate for that. In this case `estimate` warns that its confidence is false: more than a tenth
+of a stream's readings lie farther from the estimate than one in a thousand should. Of a stream
+with a robust loss, a reading counts only if the next reading is off in a similar direction, which
+distinguishes a contradiction from single outliers.
 
 ## Nodes, duration and confidence
 
-A still robot has a coil at its tip. The table gives the standard deviation of position at
-mid-length and mid-recording, and its change when something is doubled that adds no information
+A coil reads the tip of a still robot. The table gives the standard deviation of position at
+mid-length and mid-recording, and its change when a quantity is doubled that adds no information
 there.
 
 {invariance}
@@ -85,14 +87,16 @@ there.
 
 ## Shapes of one moment
 
-A robot of two segments that bends widely and is read at its tip alone may have had shapes far
-apart. `estimate` and `estimate_static` find one of them, and their covariance is that about it.
-Over many moments, or with a second sensor, motion and readings tell the shapes apart; at one moment
-they do not. [`sample_static`](api/index.md) draws shapes that explain the readings, wherever they
-lie, in one to two seconds for a hundred; their spread is the confidence there is. Shapes drawn from
-the prior of `tdcr466-segments`, read to 1 mm (and a coil's direction to 10 mrad): shares inside 95
-%, and mean squared errors by what is claimed for them, 1 if that is true. Printed by `python
-benchmarks/one_moment.py --shapes 60`.
+If a robot of two segments bends widely and only its tip is read, very different shapes may
+explain the readings of one moment. `estimate` and `estimate_static` find one of these shapes, and
+their covariance describes the errors around it. Motion over many moments, or a second sensor,
+resolves the ambiguity; a single moment does not. [`sample_static`](api/index.md) draws a hundred
+shapes that explain the readings in one to two seconds; their distribution includes the ambiguity.
+
+In the table, true shapes are drawn from the prior of `tdcr466-segments`, and read to 1 mm (and 10
+mrad for a coil's direction). Each cell gives the share inside 95 %, and the mean squared error over
+the stated variance, which is 1 for true confidence. `python benchmarks/one_moment.py --shapes 60`
+prints it.
 
 {one_moment}
 
@@ -100,24 +104,25 @@ benchmarks/one_moment.py --shapes 60`.
 
 {nodes}
 
-The separable prior is the same process for any number of nodes, but between time nodes confidence
-is that of the nodes and of the bridge between them. Where a step is long for the prior it swells
-there, so `tdcr466-segments` has 30 nodes a second; `estimate` and `check`
-[warn](guard.md#between-time-nodes) of fewer.
+The separable prior is the same process for any number of nodes. Between time nodes, however, the
+covariance is that of an interpolation between the nodes, which is large where a step is long for
+the prior. Therefore `tdcr466-segments` has 30 nodes a second, and `estimate` and `check`
+[warn](guard.md#between-time-nodes) if there are too few.
 
 ## A sliding sensor on real motion
 
-No recording has one. The real robot carries five motion capture bodies: the body nearest to a
-virtual place that moves along the robot is read as a coil of five degrees of freedom, and the
-others are truth. In the arm `fixed` that place is the tip, in `oscillating` it moves over the
-last quarter of the body, in `traverse` over all but the base. Two arms are compared on truth that
-neither of them reads.
+No public recording has a sliding sensor, so one is emulated. The real robot carries five motion
+capture bodies. At each time, the body nearest to a virtual place that moves along the robot is read
+as a coil of five degrees of freedom, and the other bodies are truth. In the arm `fixed` this place
+is the tip; in `oscillating` it moves over the last quarter of the body; in `traverse`, over all but
+the base. Two arms are compared on truth that neither of them reads.
 
 {real_slide}
 
-How far the second segment's strain varies was chosen on `slow_free_space`, where it bends most
-towards its tip; `fast_contact` is reported. A prior broad enough for impacts claims less than is
-known of slow motion, where a sliding coil's errors are half to two thirds of the deviations.
+The variation of strain along the second segment was chosen on `slow_free_space`, where the segment
+bends most towards its tip; `fast_contact` is reported. A prior that is wide enough for impacts is
+underconfident in slow motion: there the errors with a sliding coil are half to two thirds of the
+standard deviations.
 
 ## Outliers
 
@@ -127,37 +132,45 @@ known of slow motion, where a sliding coil's errors are half to two thirds of th
 
 {real}
 
-The robot file also accounts for these effects. The tracker was polled faster than it measures, so
-its stamps are up to 20 ms late at a tip that moves at 1.6 m/s (`rate`). The coil at the tip is
-tilted by some degrees (`--joint`). The tendons pull discs and bodies down the backbone, by 8 mm
-at mid-length (an axial set). The distortion of the tracker's field drifts. Delays of the gyroscopes
-are not in it: every window left them as stated, which costs time and shows nothing.
+The robot file also accounts for these effects:
 
-**How far to trust the table.** The first two windows are no held-out test: some hundred settings,
-of priors on strain first and then of the rod, were judged on them before this file was learned, and
-apart from the steady stamps, which need no truth, the effects above were found from both recordings
-and their truth. That rest counts once is a general argument, and so is the weight, which the first
-recording shows by itself (without it in the last table). No choice was made by the last four
-seconds. The weights and the drifts were learned in free space until convergence. Their initial
-values, the moments of tendons, the forces of contacts, sets, torsional stiffness, noise, time scale
-and the time grid were set by hand. What is published of the robot's body is little; a nitinol wire
-of 1 mm was assumed, and only ratios to its stiffness show.
+- The tracker was polled faster than it measures, so its stamps are up to 20 ms late, at a tip that
+  moves at 1.6 m/s (`rate`).
+- The coil at the tip is tilted by some degrees (`--joint`).
+- The tendons pull discs and bodies down the backbone, by 8 mm at mid-length (an axial set).
+- The distortion of the tracker's field drifts.
 
-**Remaining errors.** At the tip, tracker and motion capture disagree by some millimetres in the
-two windows, with the frame and mounts of slow motion. Motion capture is 20 ms late in
-`slow_free_space` and 2 ms in `fast_contact`; as this is no constant of the laboratory, it is not
-corrected. From 20 to 30 s the impact disturbs the tracker.
+It does not estimate delays of the gyroscopes, because no window changed them from their stated
+values.
+
+**How far to trust the table.** The first two windows are not a held-out test. Some hundred
+settings, first of priors on strain and then of the rod, were judged on them before this file was
+learned. The effects above were found from both recordings and their truth, except the evenly
+spaced stamps, which need no truth. Two choices do not depend on these windows: that rest counts
+once is a general argument, and the first recording alone shows the weight ("no weight" in the
+last table). No choice was made on the last four seconds. The weights and the drifts were learned
+in free space until convergence. Their initial values, the moments of tendons, the forces of
+contacts, sets, torsional stiffness, noise, time scale and the time grid were set by hand. Little
+is published about the robot's body; a nitinol wire of 1 mm was assumed, and the readings depend
+only on ratios to its stiffness.
+
+**Remaining errors.** With the frame and mounts estimated from slow motion, tracker and motion
+capture disagree by some millimetres at the tip in the first two windows. Motion capture is 20 ms
+late in `slow_free_space` and 2 ms in `fast_contact`; this delay differs between recordings, so it
+is not corrected. From 20 to 30 s the impact disturbs the tracker.
 
 ## What the errors of the learned file are
 
-`python benchmarks/error_parts.py` takes errors apart by body and direction, in each body's own
-axes, and fits away what an estimate cannot be blamed for; a fit is an upper bound and is applied
-nowhere else. On the recording it was learned from, 19 to 29 s:
+`python benchmarks/error_parts.py` separates the errors by body and direction, in each body's own
+axes. It then removes errors that may belong to the truth, by fitting a delay, a rigid transform
+or a constant of each body. Such a fit removes at most what belongs to the truth and part of the
+estimate's own error, so the reduction is an upper bound; it is applied nowhere else. On the
+recording from which the file was learned, 19 to 29 s:
 
 {error_parts}
 
-`--vary` scales numbers of the prior one by one; deviations, not variances, where it says × 2. In
-millimetres and share inside 95 %:
+`--vary` scales the prior's settings one by one; factors of moments, loads, forces and sets apply to
+standard deviations. Each cell gives the position RMSE in millimetres and the share inside 95 %:
 
 {varied}
 """

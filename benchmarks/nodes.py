@@ -106,13 +106,15 @@ def main():
     unit, ratio = medians[0], medians[1] / medians[0]
     each = ratio * solves[0].iterations / solves[1].iterations
     print(
-        f"{RECORDING} {WINDOW[0]:g}-{WINDOW[1]:g} s on {REFERENCE[0]} × {REFERENCE[1]:g} Hz, "
-        f"medians of {options.runs} runs in turns: {one.name} {medians[0]:.2f} s "
-        f"({solves[0].iterations} it.), with the prior of {other.name} {medians[1]:.2f} s "
-        f"({solves[1].iterations} it.): {ratio:.2f} times as long an estimate, {each:.2f} times an "
-        f"iteration; {'within' if ratio <= CLAIM else 'NOT within'} {CLAIM:g}. {other.name} as it "
-        f"stands, with an unknown and a robust loss, {medians[2] / medians[0]:.2f} times "
-        f"({solves[2].iterations} it.).\n"
+        f"{RECORDING}, {WINDOW[0]:g}-{WINDOW[1]:g} s, on {REFERENCE[0]} × {REFERENCE[1]:g} Hz; "
+        f"medians of {options.runs} alternating runs:\n\n"
+        f"- {one.name} takes {medians[0]:.2f} s ({solves[0].iterations} iterations).\n"
+        f"- The same sensors with the prior of {other.name} take {medians[1]:.2f} s "
+        f"({solves[1].iterations} iterations):\n  {ratio:.2f} times as long for an estimate, "
+        f"{each:.2f} times for an iteration.\n  The estimate is "
+        f"{'within' if ratio <= CLAIM else 'NOT within'} the target of {CLAIM:g} times.\n"
+        f"- {other.name} itself, with an unknown parameter and a robust loss, takes "
+        f"{medians[2] / medians[0]:.2f} times as long\n  ({solves[2].iterations} iterations).\n"
     )
     heads = (
         "robot",

@@ -143,11 +143,11 @@ def main():
     robot = load_robot(options.robot)
     recording = load_recording(options.folder / RECORDING)
     print(
-        f"Robot `{robot.name}`, {RECORDING}, {options.seeds} seeds: mean (worst); position RMSE\n"
-        f"over all sites. Growth is against the same loss, and against no loss, on clean rows. "
-        f"Without a\nloss the gate that every estimate has leaves outliers out where the search "
-        f"converges, and a warning\nsays where it does not; a loss that forgives little, as "
-        f"Huber's, keeps them.\n"
+        f"Robot `{robot.name}`, {RECORDING}, {options.seeds} seeds: mean (worst) of the position "
+        f"RMSE over all\nsites, with a share of the trackers' rows corrupted. Growth is relative "
+        f"to the clean rows with the\nsame loss, and with no loss. Without a loss, the innovation "
+        f"gate of every estimate omits outliers if\nthe iteration converges, and a warning says "
+        f"if it does not. Huber's loss bounds the influence of an\noutlier but keeps it.\n"
     )
     heads = ("window", "loss", "clean (mm)", "corrupted (mm)", "growth", "of no loss, clean")
     heads += ("suspects clean → corrupted", "corrupted rows", "iterations", "converged")

@@ -40,9 +40,10 @@ ESTIMATE = (
 )
 TEXT = """\
 The robot file was learned on `{tuned}` with all motion capture as truth. The frame of motion
-capture, the mounts of its bodies and that of the coil at the tip were estimated there too, then
-fixed. The table judges it on `fast_contact`, estimated from the two trackers and two gyroscopes
-alone. The published columns are those of the reference implementation with its own settings.
+capture, the mounts of its bodies and the mount of the coil at the tip were estimated on the same
+recording and then fixed. The table gives the errors on `fast_contact`, estimated from the two
+trackers and two gyroscopes alone. The published columns are those of the reference implementation
+with its own settings.
 
 ```
 {learn}
@@ -52,20 +53,22 @@ alone. The published columns are those of the reference implementation with its 
 {head}
 {rows}
 
-On the recording it was learned on, 19 to 29 s: {tuned_line}; and before the contact,
+On the recording from which it was learned, 19 to 29 s: {tuned_line}; and before the contact,
 `fast_contact` 0 to 10 s: {free_line}.
 
-The prior is that of a rod under loads. The robot hangs from its base, and its weight straightens it:
-in free space curvature grows along the second segment, and where the robot pushes against something
-curvature falls from the base. A prior on strain knows neither, and both are one rod. What the robot
-weighs for its stiffness is learned (`mass`). The tendons' moments at the ends of segments, the forces
-of contacts and the torsional stiffness keep their initial values: tendons alone pull the robot little
-there, so that learned values are small, and in contact the estimate is then overconfident.
+The prior models a rod under loads. The robot hangs from its base, and its weight straightens it. In
+free space curvature increases along the second segment; where the robot pushes against something,
+curvature decreases from the base. The mechanics of a rod explain both; a prior on strain does not.
+The ratio of weight to stiffness is learned (`mass`). The tendons' moments at the ends of segments,
+the forces of contacts and the torsional stiffness keep their initial values: in free space the
+tendons load the robot only little, so learned values would be too small, and the estimate
+overconfident in contact.
 
-The robot rests for nineteen of the 45 s, of which the last counts. A resting robot repeats the same truth, which counts
-once for weight and drifts and for half a second for mounts; counting every sample makes an overconfident
-robot file. While any of it moves, all of it counts: errors at the base change then, too. How long drifts
-last is learned with their size. The tip accelerates at {slow:.1f} m/s² (RMS) where weights were learned,
+The robot rests for nineteen of the 45 s, of which only the last second counts. A robot at rest
+repeats the same truth, so it counts once for weight and drifts, and as half a second for mounts.
+Counting every sample would give an overconfident robot file. While any part of the robot moves, all
+bodies count, because errors at the base change as well. The correlation time of the drifts is
+learned with their size. The tip accelerates at {slow:.1f} m/s² (RMS) where weights were learned,
 and at {fast:.1f}, {impact:.1f} and {last:.1f} m/s² in the three windows; inertia is left out.
 """
 

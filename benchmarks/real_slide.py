@@ -295,10 +295,11 @@ def main():
 
 
 TEXT = """\
-Robot `{robot}`. A coil is read with {mm:g} mm and {deg:.2g}°; where a body sits on the robot is
-known to {mount:g} mm and {deg:.2g}°, for truth and for the coil. *Same*: bodies but the
-base's where none of the three arms reads them; *own*: where the arm itself does not; against fixed
-at the samples of both. Blocks of {block:g} s."""
+The robot is `{robot}`. The coil's noise is {mm:g} mm and {deg:.2g}°; the mount of each body is
+known to {mount:g} mm and {deg:.2g}°, for truth and for the coil. *Same* counts the bodies except
+the base's, at times when none of the three arms reads them; *own*, at times when the arm itself
+does not. The column against fixed uses the samples of both arms; its interval is from resampling
+blocks of {block:g} s."""
 
 
 if __name__ == "__main__":

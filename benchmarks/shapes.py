@@ -197,12 +197,12 @@ def row(name, values):
 
 
 TEXT = """\
-A clamped steel rod of 0.6 m bends under gravity and random forces and moments at its middle and
-tip, computed by another group's solver. A sliding coil stops at 5 of 12 stations, drawn for each
-shape (noise 0.7 mm and 0.4° per axis); the base is known. The prior's numbers were learned on
-every second of shapes 1 to 250. The errors are those of shapes 251 to 500 where the coil did not
-stop, beside those of cubic Hermite curves through the same readings, extended straight beyond the
-last. Brackets hold 95 % intervals from resampling the shapes.
+Another group's solver computed shapes of a clamped steel rod of 0.6 m that bends under gravity and
+random forces and moments at its middle and tip. A sliding coil stops at 5 of 12 stations, drawn for
+each shape (noise 0.7 mm and 0.4° per axis); the base is known. The prior was learned on every
+second of shapes 1 to 250. The table gives the errors on shapes 251 to 500 at stations where the
+coil did not stop. The last column gives those of cubic Hermite curves through the same readings,
+extended straight beyond the last one. Brackets contain 95 % intervals from resampling the shapes.
 
 | position at | n | in 50 % | in 90 % | in 95 % | in 99 % | NEES | median / RMSE (mm) | Hermite |
 |---|---|---|---|---|---|---|---|---|
