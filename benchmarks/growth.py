@@ -35,13 +35,13 @@ HEAD = """\
 
 ![Cost against time nodes, arclength nodes, readings, and of an update](growth.png)
 
-A coil slides along the two-segment robot, base and gyroscope are read. Processor seconds on one
-thread of {machine}, {day}, medians of up to {runs} runs; written by
-`python benchmarks/growth.py`. The floor is what factor and covariances of the block-tridiagonal
-system would cost at the rate of matrix products of its blocks on the same machine; linearising
-comes on top. An estimate is linear in time nodes and in readings; in arclength nodes it is cubic
-once blocks are large. What an update costs at few arclength nodes is the cost of calls on small
-arrays.
+A coil that slides along the two-segment robot, a tracker at the base and a gyroscope are read. The
+table gives processor seconds on one thread of {machine}, {day}, as medians of up to {runs} runs;
+`python benchmarks/growth.py` writes this page. The floor is the time for factorisation and
+covariances of the block-tridiagonal system at the rate at which the same machine multiplies
+matrices of the size of its blocks; linearisation is not included in it. The cost of an estimate is
+linear in time nodes and in readings. In arclength nodes it is cubic once blocks are large. At few
+arclength nodes, function calls on small arrays dominate the cost of an update.
 """
 
 

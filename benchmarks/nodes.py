@@ -114,7 +114,8 @@ def main():
         f"{each:.2f} times for an iteration.\n  The estimate is "
         f"{'within' if ratio <= CLAIM else 'NOT within'} the target of {CLAIM:g} times.\n"
         f"- {other.name} itself, with an unknown parameter and a robust loss, takes "
-        f"{medians[2] / medians[0]:.2f} times as long\n  ({solves[2].iterations} iterations).\n"
+        f"{medians[2] / medians[0]:.2f} times as long\n  ({solves[2].iterations} iterations).\n\n"
+        f"Times in the table are multiples of the first of these times.\n"
     )
     heads = (
         "robot",

@@ -9,11 +9,11 @@ TEXT = """\
 
 `benchmarks/peers.py` measures every number on this page and writes it.
 
-Sensors read a robot in a few places, and each method estimates its position between them. Every
-shape is static and estimated from its own readings only. Ours are solved together by
-`estimate_static`, GTSAM's ({gtsam}) one graph after another, in turns, on one thread of one
-process. Times are processor seconds from arrays of readings to the mean and covariance at all
-queried places.
+Sensors read a robot at a few places, and each method estimates the position between them. Every
+shape is static and estimated from its own readings only. Our `estimate_static` solves all
+shapes together; GTSAM ({gtsam}) solves one graph after another. Runs of the two alternate on one
+thread of one process. Times are processor seconds from arrays of readings to the mean and
+covariance at all queried places.
 
 ![Error of every method; how fast confidence settles as nodes are added](peers.png)
 
@@ -22,10 +22,10 @@ queried places.
 The problem has {each} shapes of a steel rod of 0.6 m, computed by another group's solver,
 SoroSim. The base is fixed, and the pose is read at {read} m. Both methods have the same prior and
 noise, with shear so soft that GTSAM can factor dense grids. GTSAM's factor treats the six
-components of a step as independent; ours is the exact transition of the step, so GTSAM needs many
-nodes for the result that ours has with one node per reading. Distances are from the limit of many
-nodes, the largest over shapes and places. With GTSAM's factors in our estimator both agree on
-every grid to 1e-6 in the mean and far better than 1 % in the standard deviation
+components of a step as independent; ours is the exact transition of the step. Therefore GTSAM needs
+many nodes for the result that ours gives with one node per reading. The table gives distances from
+the limit of many nodes, the largest over shapes and places. With GTSAM's factors in our estimator
+both agree on every grid to 1e-6 in the mean and far better than 1 % in the standard deviation
 (`benchmarks/tests/test_peers.py`). GTSAM starts from curves through the readings, ours from a
 straight robot.
 
@@ -37,20 +37,21 @@ straight robot.
 
 ## Accuracy
 
-The numbers of each method's prior are those that best predict shapes other than these {rods}. The
-errors are of position at the {asked} stations without a reading, all between readings.
+The parameters of each method's prior are those that best predict shapes other than these {rods}.
+The table gives errors of position at the {asked} stations without a reading, all between
+readings.
 
 | steel rod | RMSE (mm) | median (mm) | inside 95 % | ms a shape |
 |---|---|---|---|---|
 {steel}
 
 The second problem has {moments} times of the public recording `fast_contact`, 10 to 30 s, with
-numbers chosen on `slow_free_space`. Each is a shape by itself, estimated from the tracker's poses
-of base and tip only; motion capture at 0.1165, 0.233 and 0.3495 m is the truth. Readings at both
+numbers chosen on `slow_free_space`. Each is a separate shape, estimated only from the tracker's
+poses of base and tip; motion capture at 0.1165, 0.233 and 0.3495 m is the truth. Readings at both
 ends contain little information about a body of two segments in contact: no method is clearly
-best, and a prior chosen on slow motion is overconfident. [Results](results.md) shows what time
-and gyroscopes add. Methods that know a rod's mechanics are compared in
-[loads](loads.md#beside-other-methods).
+best, and a prior chosen on slow motion is overconfident. [Results](results.md) shows the
+improvement from motion over time and gyroscopes. Methods that model a rod's mechanics are
+compared in [loads](loads.md#beside-other-methods).
 
 | real robot | RMSE (mm) | median (mm) | inside 95 % | ms a shape |
 |---|---|---|---|---|
@@ -68,10 +69,11 @@ def ratios(far, times, each):
         min([key for key in within if key[0] == who], key=times.get) for who in ("ours", "GTSAM")
     )
     text = (
-        f"{each} shapes together are **{same:.1f} times** as fast as GTSAM's on the same {many} "
-        f"nodes, and **{fewest:.1f} times** with nodes at base and readings alone, which is "
-        f"enough. For standard deviations within 1 % of the limit GTSAM takes {theirs[1]} nodes, "
-        f"ours {ours_[1]}: **{times[theirs] / times[ours_]:.0f} times** as fast."
+        f"Our estimate of {each} shapes is **{same:.1f} times** as fast as GTSAM's on the same "
+        f"{many} nodes, and **{fewest:.1f} times** with nodes at base and readings only, which is "
+        f"sufficient. For standard deviations within 1 % of the limit, GTSAM needs {theirs[1]} "
+        f"nodes and ours {ours_[1]}: ours is then **{times[theirs] / times[ours_]:.0f} times** as "
+        f"fast."
     )
     return fill(text, 100)
 

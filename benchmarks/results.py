@@ -125,13 +125,13 @@ TEXT = """\
 
 ## Accuracy on the public recordings
 
-The estimates use a tracker at base and tip and two gyroscopes, with the settings published for
-these robots converted to densities; motion capture is the truth. The published column is the
+The estimates use a tracker at base and tip and two gyroscopes. The settings are those published for
+these robots, converted to densities; motion capture is the truth. The published column is the
 position RMSE of the reference implementation's batch estimator. NEES is per degree of freedom (1
-is ideal); the last column is the share of samples inside the 95 % position ellipsoid. The
-published settings are underconfident on slow motion and overconfident at the tip in the last
-window of fast contact, where tracker and motion capture differ by uncalibrated constants of
-several millimetres.
+is ideal); the last column is the share of samples inside the 95 % position ellipsoid. With the
+published settings the estimates are underconfident in slow motion, and overconfident at the tip in
+the last window of fast contact, where tracker and motion capture differ by uncalibrated constants
+of several millimetres.
 
 | recording | site (m) | position RMSE (mm) | published (mm) | rotation RMSE (°) | NEES | inside 95 % |
 |---|---|---|---|---|---|---|
@@ -140,9 +140,9 @@ several millimetres.
 ## Physics of the simulator
 
 Another group's solver, SoroSim, computed 500 shapes of a 0.6 m steel rod under gravity and
-wrenches at its middle and tip. The table compares them with ours by the distance at the tip and
-the largest angle anywhere. SoroSim's strain consists of a few modes in each of two segments, and
-its files have four decimals.
+wrenches at its middle and tip. The table gives their differences from the shapes of glissando's
+simulator: the distance at the tip, and the largest angle anywhere. SoroSim represents strain by a
+few modes in each of two segments, and its files have four decimals.
 
 | median (mm) | 99 % (mm) | largest (mm) | largest angle (°) |
 |---|---|---|---|
@@ -150,10 +150,10 @@ its files have four decimals.
 
 ## What the grid does to confidence
 
-A rod of 0.70 m is bent to 2 rad/m, its base is known, and a five-degree-of-freedom coil is read
+A rod of 0.70 m is bent to 2 rad/m, its base is known, and a coil of five degrees of freedom is read
 once at the tip. The table gives the standard deviation of position (mm) at mid-length by the
 number of nodes. White noise on independent components, the published form with second-order rows,
-gives 16.12, 13.46, 12.87, 12.73, 12.69 on the same grids (from GTSAM's factors, in
+gives 16.12, 13.46, 12.87, 12.73, 12.69 on the same grids (computed with GTSAM's factors in
 `tests/estimation/test_gtsam.py`).
 
 | 5 nodes | 9 | 17 | 33 | 65 |
@@ -168,29 +168,29 @@ because more nodes do not repeat the prior.
 |---|---|---|---|
 {still}
 
-The next table gives the same by the length of the recording in seconds, with the published
-settings and with densities of strain and velocity in time that are 10⁶ times smaller. With such
-firm settings a still shape that is observed twice as long is drawn twice as strongly to constant
-strain. This is a limit of the white-noise prior, which does not show with the wide published
-settings.
+The next table gives the same standard deviation by the length of the recording in seconds, with the
+published settings and with densities of strain and velocity in time that are 10⁶ times smaller.
+With such small densities the prior pulls a still shape that is observed twice as long twice as
+strongly to constant strain. This is a limit of the white-noise prior; with the wide published
+settings it has no visible effect.
 
 | | 1 s | 2 | 4 | 8 |
 |---|---|---|---|---|
 | published | {longer} |
-| firm | {firm} |
+| 10⁶ times smaller | {firm} |
 
 ## Speed
 
-Processor seconds on one thread, covariances included, of the first estimate of a fresh process
-and the median of five; the published column is the C++ reference on one core of a 2.5 GHz Xeon.
-`make bench` also prints larger grids.
+The table gives processor seconds on one thread, including covariances, for the first estimate of a
+fresh process and as the median of five. The published column is the C++ reference on one core of a
+2.5 GHz Xeon. `make bench` also prints larger grids.
 
 | recording | unknowns | iterations | first (s) | median (s) | published (s) |
 |---|---|---|---|---|---|
 {speed}
 
-Time by the number of time nodes, with five arclength nodes, a sliding coil and a gyroscope:
-seconds for all iterations, and microseconds per unknown and iteration.
+The next table gives the time by the number of time nodes, with five arclength nodes, a sliding coil
+and a gyroscope: seconds for all iterations, and microseconds per unknown and iteration.
 
 | time nodes | iterations | total (s) | µs |
 |---|---|---|---|
