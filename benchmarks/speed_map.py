@@ -127,7 +127,7 @@ def show(cells):
     head = " | ".join(f"{1e3 * v:.0f} mm/s" for v in speeds)
     for title, text in (
         ("change of the body's RMSE against the fixed coil, %", _change),
-        ("inside 95 %, and NEES a degree of freedom", _confidence),
+        ("inside 95 %, and NEES per degree of freedom", _confidence),
     ):
         print(f"\n{title}\n")
         print(f"| robot: tip at | seeds | fixed (mm) | {head} |")
