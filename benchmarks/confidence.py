@@ -88,10 +88,15 @@ there.
 ## Shapes of one moment
 
 If a robot of two segments bends widely and only its tip is read, very different shapes may
-explain the readings of one moment. `estimate` and `estimate_static` find one of these shapes, and
-their covariance describes the errors around it. Motion over many moments, or a second sensor,
-resolves the ambiguity; a single moment does not. [`sample_static`](api/index.md) draws a hundred
-shapes that explain the readings in one to two seconds; their distribution includes the ambiguity.
+explain the readings of one moment. `estimate` finds one of these shapes, and its covariance
+describes the errors around it. `estimate_static` seeks others, from twelve shapes drawn from
+the prior, where the stated direction of the body has a standard deviation above 0.1 rad. It
+returns the likeliest and warns of shapes of which others are probable; `others` has their
+probability. It does not find all: where the position of the tip alone is read, belief is curved
+as well, and some of the shapes that it does not name are far off.
+[`sample_static`](api/index.md) draws a hundred shapes that explain the readings in one to two
+seconds; their distribution includes the ambiguity. Motion over many moments, or a second
+sensor, resolves it.
 
 In the table, true shapes are drawn from the prior of `tdcr466-segments`, and read to 1 mm (and 10
 mrad for a coil's direction). Each cell gives the share inside 95 %, and the mean squared error over

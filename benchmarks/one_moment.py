@@ -1,8 +1,9 @@
 """Consistency of static shapes read at the tip only: Gaussian posterior against samples.
 
 Shapes are drawn from the prior of a robot file with [base] and a separable prior; each is estimated
-from readings at its tip, by `estimate` and by `sample_static`. The table has the share inside 95 %
-and the NEES per degree of freedom (1 if consistent), in the middle and at the tip.
+from readings at its tip, by `estimate`, by `estimate_static`, which names shapes of which others
+are probable, and by `sample_static`. The table has the share inside 95 % and the NEES per degree of
+freedom (1 if consistent), in the middle and at the tip.
 Usage: one_moment.py [--robot FILE] [--shapes N] [--draws N]
 """
 
@@ -21,6 +22,7 @@ from glissando import (
     Grid,
     PositionReadings,
     estimate,
+    estimate_static,
     load_robot,
     sample_static,
 )
@@ -31,7 +33,6 @@ LAYOUTS = {
     "position": lambda at: PositionReadings(**at, values=np.zeros((1, 3)), cov=1e-6),
     "coil": lambda at: CoilReadings(**at, values=np.eye(4)[None], cov=[1e-6] * 3 + [1e-4] * 2),
 }
-METHODS = "`estimate`", "`sample_static`"
 PARTS = {"position": slice(0, 3), "rotation": slice(3, 6)}
 
 
@@ -50,28 +51,32 @@ def of_draws(shapes, truth):
 
 
 def judged(robot, layout, shapes, draws):
-    """NEES (shapes, 2 methods, 2 places, 2 parts) of position and rotation."""
+    """NEES (shapes, 3 methods, 2 places, 2 parts) of position and rotation; which were named."""
     grid = Grid(robot.arclength_nodes, [0.0])
     predictive = PriorPredictive(robot, grid, [layout])
-    rows = []
+    rows, named = [], []
     for seed in range(shapes):
         session = predictive.draw(np.random.default_rng([1, seed]))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             posterior = estimate(robot.prior, grid, session.readings)
+            static = estimate_static(robot.prior, grid.arclength, session.readings)
         drawn = sample_static(
             robot.prior, grid.arclength, session.readings, size=draws,
             rng=np.random.default_rng(seed),
         )  # fmt: skip
-        row = ([], [])
+        named.append(0 in static.others)
+        row = ([], [], [])
         for n in (grid.arclength.size // 2, grid.arclength.size - 1):
             fine = int(np.argmin(np.abs(predictive.fine.arclength - grid.arclength[n])))
-            truth, at = session.truth.take((0, fine)), posterior.at(grid.arclength[n], 0.0)
-            error = truth.difference(State(at.pose, at.strain, at.velocity))
-            row[0].append(squared(error, np.zeros(6), at.cov))
-            row[1].append(of_draws(drawn.take((slice(None), n)), truth))
+            truth = session.truth.take((0, fine))
+            for method, found in enumerate((posterior, static)):
+                at = found.at(grid.arclength[n], 0)
+                error = truth.difference(State(at.pose, at.strain, at.velocity))
+                row[method].append(squared(error, np.zeros(6), at.cov))
+            row[2].append(of_draws(drawn.take((slice(None), n)), truth))
         rows.append(row)
-    return np.array(rows)
+    return np.array(rows), np.array(named)
 
 
 def main():
@@ -87,9 +92,16 @@ def main():
     print("|---|---|---|---|---|---|")
     for name, layout in LAYOUTS.items():
         tip = {"time": [0.0], "arclength": [robot.length]}
-        errors = judged(robot, layout(tip), options.shapes, options.draws)
-        for method, each in zip(METHODS, errors.swapaxes(0, 1), strict=True):
-            flat = each.reshape(options.shapes, -1)
+        errors, named = judged(robot, layout(tip), options.shapes, options.draws)
+        first, static, drawn = errors.swapaxes(0, 1)
+        rows = {
+            "`estimate`": first,
+            f"`estimate_static`, {named.sum()} shapes that it names": static[named],
+            f"`estimate_static`, the other {(~named).sum()}": static[~named],
+            "`sample_static`": drawn,
+        }
+        for method, each in rows.items():
+            flat = each.reshape(len(each), -1)
             inside = 100.0 * np.mean(flat <= chi2.ppf(0.95, 3), axis=0)
             nees = flat.mean(axis=0) / 3.0
             cells = (f"{i:.0f} %, {m:.2g}" for i, m in zip(inside, nees, strict=True))

@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from glissando import (
     CoilReadings,
+    FalseConfidenceWarning,
     GlissandoError,
     Grid,
     GyroReadings,
@@ -125,3 +128,45 @@ def test_what_cannot_be_drawn_is_said():
     far = PositionReadings(time=[0.0], arclength=[0.466], values=[[3.0, 0.0, 0.0]], cov=1e-12)
     with pytest.raises(GlissandoError, match="that explains the readings"):
         sample_static(robot.prior, nodes, [far], size=5)
+
+
+def tips(robot, seeds, places=(1.0,)):
+    """Coil readings at places (shares of the length) of shapes drawn from the robot's prior."""
+    fields = {"arclength": np.array(places) * robot.length, "cov": [1e-6] * 3 + [1e-4] * 2}
+    values = np.tile(np.eye(4), (len(places), 1, 1))
+    layout = CoilReadings(time=np.zeros(len(places)), values=values, **fields)
+    predictive = PriorPredictive(robot, Grid(robot.arclength_nodes, [0.0]), [layout])
+    drawn = [predictive.draw(np.random.default_rng([1, seed])).readings[0] for seed in seeds]
+    return CoilReadings(
+        time=np.repeat(np.arange(len(seeds)), len(places)),
+        values=np.concatenate([r.values for r in drawn]),
+        arclength=np.tile(fields["arclength"], len(seeds)),
+        cov=fields["cov"],
+    )
+
+
+@pytest.mark.slow
+def test_shapes_of_which_others_are_probable_are_those_of_which_draws_lie_elsewhere():
+    robot = load_robot("tdcr466-segments")
+    nodes, read = robot.arclength_nodes, tips(robot, [9, 1, 18])
+    with pytest.warns(FalseConfidenceWarning, match="Shapes 0, 2 are not the only probable: the"):
+        found = estimate_static(robot.prior, nodes, [read])
+    assert set(found.others) == {0, 2}
+    for k in range(3):
+        drawn = sample_static(robot.prior, nodes, [read.select(read.time == k)], size=60)
+        middle = nodes.size // 2
+        at = found.at(nodes[middle], k)
+        away = np.linalg.norm(drawn.pose[:, middle, :3, 3] - at.position, axis=1)
+        elsewhere = np.mean(away > 5.0 * at.std_position)
+        assert (elsewhere > 0.05) == (k in found.others)
+
+
+def test_no_other_shapes_are_sought_where_readings_leave_none_or_no_prior_draws_them():
+    robot = load_robot("tdcr466-segments")
+    read = tips(robot, [0, 1], places=(0.25, 0.5, 0.75, 1.0))
+    assert not estimate_static(robot.prior, robot.arclength_nodes, [read]).others
+    arm = load_robot("sliding700")
+    free, tip = replace(arm.prior, base=None), np.eye(4)[None].repeat(2, axis=0)
+    tip[:, 2, 3] = 0.0, 0.7
+    ends = PoseReadings(time=[0, 0], arclength=[0.0, 0.7], values=tip, cov=[1e-6] * 3 + [0.3] * 3)
+    assert not estimate_static(free, arm.arclength_nodes, [ends]).others

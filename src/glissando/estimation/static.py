@@ -7,7 +7,6 @@ than one. Source: equations (2'), (20), (21).
 
 from __future__ import annotations
 
-import warnings
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -17,8 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import (
-    FalseConfidenceWarning,
-    NotConvergedWarning,
     OutsideGridError,
     UnobservableError,
 )
@@ -32,12 +29,14 @@ from glissando.estimation.given import (
     static_model,
 )
 from glissando.estimation.misfit import unreachable_readings
+from glissando.estimation.other_shapes import OtherShapes, other_shapes
 from glissando.estimation.outliers import CHANCE, distinct_labels, unlikely
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.solve_report import SolveReport
 from glissando.estimation.starting_point import bending_easily, with_convex_losses
 from glissando.estimation.static_iteration import Solved, iterate, node_covariances
 from glissando.estimation.static_posterior import StaticPosterior, require_whole
+from glissando.estimation.static_warnings import warn_of_shapes
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.memory import require_memory
@@ -57,11 +56,6 @@ from glissando.solver.static_equations import linearize_static, static_factors
 _DOFS = slice(0, STATIC_DOF)
 _BLOCKS = 6.0  # square blocks that are stored for a node of a shape
 _SOFT_ITERATIONS = 8
-_NAMED = 10  # most shapes that a warning names
-_REMEDY = (
-    "Try a robust loss, more iterations (max_iterations), or leave out readings that disagree; "
-    "where readings leave a shape open, sample_static draws those that explain them."
-)
 _FEW = 2  # most readings of a shape none of which can be refuted by the others
 
 
@@ -78,8 +72,11 @@ def estimate_static(
     The estimate of each is that of `estimate` at a single time, whose solver also takes over shapes
     that do not converge here and those with readings that the others may refute. With a mechanical
     prior covariances are from the whole Hessian (31), of which `estimate` omits the curvature.
-    Covariances describe the neighbourhood of the shape that is found; where the readings allow
-    shapes far from it, `sample_static` draws from all of them.
+
+    Covariances describe the neighbourhood of the shape that is found. Where they leave the
+    direction of the body open by more than 0.1 rad, other shapes are sought from shapes drawn from
+    the prior: the likeliest becomes the estimate, and a warning names shapes of which others are
+    probable. `sample_static` draws from all of them.
 
     Args:
         model: The robot, whose sensor parameters must be known, or the prior of its shapes.
@@ -95,7 +92,8 @@ def estimate_static(
 
     Warns:
         NotConvergedWarning: Some shapes did not converge; `outcomes` of the result lists all.
-        FalseConfidenceWarning: Many readings contradict some shapes, which the message names.
+        FalseConfidenceWarning: Many readings contradict some shapes, or other shapes are probable;
+            the message names them.
 
     >>> from glissando import CoilReadings, load_robot
     >>> robot = load_robot("tdcr466")
@@ -123,14 +121,16 @@ def estimate_static(
         state, (cov, cross), unsolved = _solve_jointly(prior, located, options)
         unsolved |= _contradicted(prior, located, state)
     reports, refused = _solve_remaining(prior, grid, given, options, unsolved, state, cov, cross)
-    _warn_of_shapes(reports)
+    others = _use_likeliest(prior, grid, given, options, refused, (state, cov, cross))
+    warn_of_shapes(reports, others)
     outcomes = tuple(
         reports[k].outcome if k in reports else Outcome.CONVERGED for k in range(count)
     )
     if isinstance(prior, MechanicalPrior):
         with one_thread():
             cov, cross = _with_curvature(prior, located, state, cov, cross)  # (31)
-    return StaticPosterior(prior, grid, state, cov, cross, outcomes, refused)
+    probability = {each.number: each.probability for each in others}
+    return StaticPosterior(prior, grid, state, cov, cross, outcomes, refused, probability)
 
 
 def _contradicted(prior: Prior, located: LocatedReadings, state: State) -> NDArray[np.bool_]:
@@ -171,28 +171,38 @@ def _solve_remaining(
     return reports, {name: rows for name, rows in refused.items() if rows}
 
 
-def _warn_of_shapes(reports: Mapping[int, SolveReport]) -> None:
-    """Warn of shapes that did not converge, and of those that readings contradict, by number.
+def _use_likeliest(
+    prior: Prior,
+    grid: Grid,
+    readings: Sequence[Readings],
+    options: SolverOptions,
+    refused: Mapping[str, Sequence[int]],
+    known: tuple[State, Array, Array],
+) -> list[OtherShapes]:
+    """Replace shapes, in place, where another one is likelier, and report the others of each.
 
-    Each warning quotes the report of its first shape.
+    Args:
+        prior: Prior of the shapes.
+        grid: Arclength nodes and numbers of the shapes.
+        readings: All readings.
+        options: When to stop.
+        refused: Rows of each stream that were not used.
+        known: Shapes (S, N), and covariances of their nodes and of neighbouring nodes.
     """
-    failed = [k for k, report in reports.items() if not report.converged]
-    if failed:
-        first = reports[failed[0]]
-        words = [f"{_numbered(failed)} {first.status}.", first.worst, _REMEDY]
-        warnings.warn(" ".join(filter(None, words)), NotConvergedWarning, stacklevel=3)
-    doubtful = [k for k, report in reports.items() if report.converged and report.doubt]
-    if doubtful:
-        text = f"{_numbered(doubtful)} in doubt. {reports[doubtful[0]].doubt}"
-        warnings.warn(text, FalseConfidenceWarning, stacklevel=3)
-
-
-def _numbered(shapes: Sequence[int]) -> str:
-    """Beginning of a sentence on shapes, with their numbers."""
-    if len(shapes) == 1:
-        return f"Shape {shapes[0]} is"
-    shown, more = ", ".join(map(str, shapes[:_NAMED])), len(shapes) - _NAMED
-    return f"Shapes {shown}" + (f" and {more} more are" if more > 0 else " are")
+    labels, (state, cov, cross) = distinct_labels(readings), known
+    used = [
+        r.select(np.delete(np.arange(len(r)), refused.get(label, [])))
+        for r, label in zip(readings, labels, strict=True)
+    ]
+    with one_thread():
+        others = other_shapes(prior, grid.arclength, used, state, cov)
+    for k, start in ((each.number, each.likeliest) for each in others):
+        if start is not None:
+            start = start.take(np.newaxis)
+            one = _alone(prior, grid.arclength, used, k, options, start)
+            state.pose[k], state.strain[k] = one.state.pose[0], one.state.strain[0]
+            cov[k], cross[k] = _node_blocks(one)
+    return others
 
 
 def _count(readings: Sequence[Readings], nodes: int, count: int | None) -> int:
@@ -255,15 +265,20 @@ def _first_shapes(prior: Prior, located: LocatedReadings) -> State:
 
 
 def _alone(
-    prior: Prior, arclength: Array, readings: Sequence[Readings], k: int, options: SolverOptions
+    prior: Prior,
+    arclength: Array,
+    readings: Sequence[Readings],
+    k: int,
+    options: SolverOptions,
+    start: State | None = None,
 ) -> Posterior:
-    """Posterior of shape k by itself, as a recording of a single time."""
+    """Estimate of shape k by itself, at a single time, from rest or from a start (1, N)."""
     own = [r.select(r.time == k) for r in readings]
     own = [r.changed(time=np.zeros(len(r))) for r in own]
     if isinstance(prior, MechanicalPrior):
         prior = prior.of_shape(k)
     problem = BatchProblem(prior, Grid(arclength, [0.0]), own, (), options, None, CHANCE)
-    return problem.placed((None, ()))
+    return problem.placed((start, ()))
 
 
 def _node_blocks(one: Posterior) -> tuple[Array, Array]:

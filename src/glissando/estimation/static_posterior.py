@@ -40,6 +40,8 @@ class StaticPosterior(ShortRepr):
         cross: Covariances (S, N−1, 12, 12) of neighbouring nodes.
         outcomes: Outcome of the solver for each shape.
         refused: Rows of each stream that were not used, as the other readings refute them.
+        others: Probability of shapes far from the estimate, by the number of the shape; shapes
+            without such others are not listed.
     """
 
     prior: Prior
@@ -49,6 +51,7 @@ class StaticPosterior(ShortRepr):
     cross: Array
     outcomes: tuple[Outcome, ...]
     refused: Mapping[str, list[int]] = field(default_factory=dict)
+    others: Mapping[int, float] = field(default_factory=dict)
 
     @property
     def converged(self) -> NDArray[np.bool_]:

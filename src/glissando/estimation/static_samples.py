@@ -15,6 +15,7 @@ from glissando._kernels.threads import one_thread
 from glissando.errors import GlissandoError
 from glissando.estimation.given import require_list, require_model, static_model
 from glissando.estimation.static_iteration import iterate
+from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior, load_kernels
@@ -133,17 +134,43 @@ def _draw_shapes(
     Raises:
         UnobservableError: Prior and readings leave a direction of a shape undetermined.
     """
-    grid, rest = located.grid, prior.rest_state(located.grid)
-    residuals = (terms.residual for _, terms in linearize_static(prior, located, rest).terms)
-    noise = [rng.standard_normal(residual.shape) for residual in residuals]
+    noise = draw_noise(prior, located, rng)
     if known is None:
-        here = linearize_static(prior, locate(grid, []), rest, noise)
-        step = np.zeros((*grid.shape, rest.dof))
-        solved = here.cholesky.solve(here.rhs.reshape(-1, STATIC_DOF))
-        step[..., :STATIC_DOF] = solved.reshape(here.rhs.shape)
-        start = prior.retract_strains(grid, rest, step)
+        start = shapes_of_prior(prior, located.grid, noise)
     else:
-        start = known.take(rng.integers(len(known.pose), size=grid.time.size))
-        start = start.with_fields_of(rest)
+        start = known.take(rng.integers(len(known.pose), size=located.grid.time.size))
+        start = start.with_fields_of(prior.rest_state(located.grid))
     shapes, _, failed = iterate(prior, located, start, _OPTIONS, noise)
     return State(shapes.pose, shapes.strain, np.zeros_like(shapes.strain)), failed
+
+
+def draw_noise(prior: Prior, located: LocatedReadings, rng: np.random.Generator) -> list[Array]:
+    """Standard normal residuals (M, r) of each batch of factors of static shapes, whitened.
+
+    Args:
+        prior: Prior of the shapes, whose batches come first.
+        located: Readings of the shapes.
+        rng: Source of randomness.
+    """
+    rest = prior.rest_state(located.grid)
+    residuals = (terms.residual for _, terms in linearize_static(prior, located, rest).terms)
+    return [rng.standard_normal(residual.shape) for residual in residuals]
+
+
+def shapes_of_prior(prior: Prior, grid: Grid, noise: Sequence[Array]) -> State:
+    """Shapes (S, N) of a prior, one for each time of the grid.
+
+    Args:
+        prior: Prior of the shapes.
+        grid: Arclength nodes and numbers of the shapes.
+        noise: Whitened residuals of the batches of the prior's factors, as `draw_noise` returns.
+
+    Raises:
+        UnobservableError: The prior alone does not determine a shape.
+    """
+    rest = prior.rest_state(grid)
+    here = linearize_static(prior, locate(grid, []), rest, noise)
+    step = np.zeros((*grid.shape, rest.dof))
+    solved = here.cholesky.solve(here.rhs.reshape(-1, STATIC_DOF))
+    step[..., :STATIC_DOF] = solved.reshape(here.rhs.shape)
+    return prior.retract_strains(grid, rest, step)
