@@ -42,6 +42,14 @@ def squared(error, mean, cov):
     return [miss[p] @ np.linalg.solve(cov[p, p], miss[p]) for p in PARTS.values()]
 
 
+def of_estimate(at, truth):
+    """NEES of position and of rotation, for an estimate and the covariances that it states."""
+    miss = at.pose[:3, :3].T @ (truth.pose[:3, 3] - at.position)
+    position = miss @ np.linalg.solve(at.position_covariance(), miss)
+    error = truth.difference(State(at.pose, at.strain, at.velocity))
+    return [position, squared(error, np.zeros(6), at.cov)[1]]
+
+
 def of_draws(shapes, truth):
     """NEES of position and of rotation, for samples (S,) of the state at a place."""
     first = shapes.take(slice(0, 1))
@@ -71,9 +79,7 @@ def judged(robot, layout, shapes, draws):
             fine = int(np.argmin(np.abs(predictive.fine.arclength - grid.arclength[n])))
             truth = session.truth.take((0, fine))
             for method, found in enumerate((posterior, static)):
-                at = found.at(grid.arclength[n], 0)
-                error = truth.difference(State(at.pose, at.strain, at.velocity))
-                row[method].append(squared(error, np.zeros(6), at.cov))
+                row[method].append(of_estimate(found.at(grid.arclength[n], 0), truth))
             row[2].append(of_draws(drawn.take((slice(None), n)), truth))
         rows.append(row)
     return np.array(rows), np.array(named)
