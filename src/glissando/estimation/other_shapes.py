@@ -27,11 +27,13 @@ from glissando.solver.gauss_newton import SolverOptions
 from glissando.solver.located_readings import LocatedReadings, locate
 from glissando.solver.static_equations import StaticEquations, linearize_static
 
+PROBABLE = 0.02
+"""Probability of other shapes from which on they are reported."""
+
 _OPEN = 0.1  # rad: standard deviation of a tangent, above which other shapes are sought
 _STARTS = 12  # shapes of the prior from which they are sought
 _OPTIONS = SolverOptions(20, tolerance=1.0)
 _APART = 4.0  # standard deviations of position by which two shapes are distinct
-_LEAST = 0.02  # probability of other shapes below which they are not reported
 _TOGETHER = 50  # shapes for which others are sought in one batch
 
 
@@ -150,7 +152,7 @@ def _judged(
     order = sorted(kept, key=lambda k: -evidence[k])
     share = np.exp(evidence[order] - evidence[order[0]])
     probability = float(1.0 - 1.0 / share.sum())
-    if len(kept) == 1 or (probability < _LEAST and order[0] == 0):
+    if len(kept) == 1 or (probability < PROBABLE and order[0] == 0):
         return None
     away = np.linalg.norm(place[order[1]] - place[order[0]], axis=-1)
     n = int(np.argmax(away))

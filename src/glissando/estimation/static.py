@@ -29,7 +29,7 @@ from glissando.estimation.given import (
     static_model,
 )
 from glissando.estimation.misfit import unreachable_readings
-from glissando.estimation.other_shapes import OtherShapes, other_shapes
+from glissando.estimation.other_shapes import PROBABLE, OtherShapes, other_shapes
 from glissando.estimation.outliers import CHANCE, distinct_labels, unlikely
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.solve_report import SolveReport
@@ -121,7 +121,7 @@ def estimate_static(
         state, (cov, cross), unsolved = _solve_jointly(prior, located, options)
         unsolved |= _contradicted(prior, located, state)
     reports, refused = _solve_remaining(prior, grid, given, options, unsolved, state, cov, cross)
-    others = _use_likeliest(prior, grid, given, options, refused, (state, cov, cross))
+    others = _use_likeliest(prior, grid, given, options, refused, reports, (state, cov, cross))
     warn_of_shapes(reports, others)
     outcomes = tuple(
         reports[k].outcome if k in reports else Outcome.CONVERGED for k in range(count)
@@ -177,9 +177,10 @@ def _use_likeliest(
     readings: Sequence[Readings],
     options: SolverOptions,
     refused: Mapping[str, Sequence[int]],
+    reports: dict[int, SolveReport],
     known: tuple[State, Array, Array],
 ) -> list[OtherShapes]:
-    """Replace shapes, in place, where another one is likelier, and report the others of each.
+    """Replace shapes, in place, where another one is likelier; return those of which others remain.
 
     Args:
         prior: Prior of the shapes.
@@ -187,6 +188,7 @@ def _use_likeliest(
         readings: All readings.
         options: When to stop.
         refused: Rows of each stream that were not used.
+        reports: Reports of shapes estimated alone; those replaced are entered.
         known: Shapes (S, N), and covariances of their nodes and of neighbouring nodes.
     """
     labels, (state, cov, cross) = distinct_labels(readings), known
@@ -202,7 +204,8 @@ def _use_likeliest(
             one = _alone(prior, grid.arclength, used, k, options, start)
             state.pose[k], state.strain[k] = one.state.pose[0], one.state.strain[0]
             cov[k], cross[k] = _node_blocks(one)
-    return others
+            reports[k] = one.solve
+    return [each for each in others if each.probability >= PROBABLE]
 
 
 def _count(readings: Sequence[Readings], nodes: int, count: int | None) -> int:
