@@ -161,6 +161,15 @@ def test_shapes_of_which_others_are_probable_are_those_of_which_draws_lie_elsewh
         assert (elsewhere > 0.05) == (k in found.others)
 
 
+@pytest.mark.slow
+def test_a_shape_is_not_named_where_a_likelier_one_replaced_it_and_no_other_is_probable():
+    robot = load_robot("tdcr466-segments")
+    read = tips(robot, [104, 123])  # a warning would be an error
+    found = estimate_static(robot.prior, robot.arclength_nodes, [read])
+    assert not found.others
+    assert found.converged.all()
+
+
 def test_no_other_shapes_are_sought_where_readings_leave_none_or_no_prior_draws_them():
     robot = load_robot("tdcr466-segments")
     read = tips(robot, [0, 1], places=(0.25, 0.5, 0.75, 1.0))
