@@ -107,6 +107,8 @@ def main():
             "`sample_static`": drawn,
         }
         for method, each in rows.items():
+            if not len(each):
+                continue  # with few shapes none may be named
             flat = each.reshape(len(each), -1)
             inside = 100.0 * np.mean(flat <= chi2.ppf(0.95, 3), axis=0)
             nees = flat.mean(axis=0) / 3.0
