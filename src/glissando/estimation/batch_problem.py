@@ -23,7 +23,7 @@ from glissando.estimation.outliers import (
 )
 from glissando.estimation.place_evidence import by_evidence
 from glissando.estimation.posterior import Posterior
-from glissando.estimation.several_starts import Start, StartProblem, best_end, start_at
+from glissando.estimation.several_starts import Start, StartProblem, best_end, log_fit, start_at
 from glissando.estimation.solve_report import SolveReport
 from glissando.estimation.starting_point import starting_point, with_parameters
 from glissando.estimation.transported import transported
@@ -78,7 +78,7 @@ class BatchProblem:
         if not all(rows.all() for rows in used):
             locate(self.grid, self.readings, self.sensor_parameters)  # checks spikes, too
         with self.explained():
-            end, known = self.best_end(used, start), None
+            (end, doubt), known = self.best_end(used, start), None
             if self.gate is not None:
                 first, (end, known, used) = used, self.solve_without_refuted(end, used, self.gate)
                 if not all(rows.all() for rows in used):
@@ -86,7 +86,9 @@ class BatchProblem:
             seen = self.placed_by_evidence(end, used)
             seen = self.dated(seen) if self.dates else seen
             posterior = self.known_by(seen) if known is None or seen is not end else known
-        return replace(posterior, solve=replace(posterior.solve, refused=self.left_out(used)))
+        report = posterior.solve
+        report = replace(report, refused=self.left_out(used), doubt=report.doubt or doubt)
+        return replace(posterior, solve=report)
 
     @contextmanager
     def explained(self) -> Iterator[None]:
@@ -96,15 +98,15 @@ class BatchProblem:
         except (np.linalg.LinAlgError, UnobservableError) as error:
             raise breakdown(error, self.grid, self.prior, self.readings) from error
 
-    def best_end(self, used: Sequence[Mask], start: Start) -> Solution:
-        """Best solution from this start, and from others if it is far off."""
+    def best_end(self, used: Sequence[Mask], start: Start) -> tuple[Solution, str]:
+        """Best solution, and a sentence on other motions if they are probable, see `best_end`."""
 
         def piece(times: slice, initial: State | None) -> Solution:
             grid = Grid(self.grid.arclength, self.grid.time[times])
             inside = [r.inside(grid) for r in readings]
             part = replace(self, grid=grid, readings=inside, progress=None)
             every = [np.ones(len(r), dtype=bool) for r in inside]
-            return part.best_end(every, (initial, ()))
+            return part.best_end(every, (initial, ()))[0]
 
         readings = self.selected(used)
         sought = StartProblem(self.prior, self.grid, readings, self.options, piece)
@@ -131,7 +133,7 @@ class BatchProblem:
 
     def known_by(self, solution: Solution) -> Posterior:
         """Posterior of a solution, whose factor is overwritten."""
-        log_fit = _log_fit(solution)  # (22)
+        fit = log_fit(solution)  # (22)
         with one_thread(), self.clock("covariance"):
             marginals = solution.cholesky.marginals(consume=True)  # (21)
             marginals = transported(solution.equations.state, solution.state, marginals)  # (35)
@@ -141,7 +143,7 @@ class BatchProblem:
             solution.state,
             solution.equations.system,
             marginals,
-            _report(self.prior, solution, log_fit, self.clock),
+            _report(self.prior, solution, fit, self.clock),
             solution.located.parameters.by_name(),
             (solution.equations.state, solution.equations.noise_state),
         )
@@ -176,7 +178,7 @@ class BatchProblem:
             return known
         rough = SolverOptions.rough(known[0].equations.rhs.size)
         touched = replace(self, prior=prior, options=rough)
-        end = touched.best_end(first, start)
+        end, _ = touched.best_end(first, start)
         if not end.outcome.sound:
             return known
         end, _, fit = touched.solve_without_refuted(end, first, self.gate)
@@ -222,12 +224,7 @@ def _after(before: int, progress: Progress | None) -> Progress | None:
     return lambda iteration, cost, length: progress(before + iteration, cost, length)
 
 
-def _log_fit(solution: Solution) -> float:
-    """Log evidence without the prior's normaliser. Source: equation (22)."""
-    return -solution.cost - 0.5 * (solution.equations.log_det_noise + solution.cholesky.log_det)
-
-
-def _report(prior: Prior, solution: Solution, log_fit: float, clock: Stopwatch) -> SolveReport:
+def _report(prior: Prior, solution: Solution, fit: float, clock: Stopwatch) -> SolveReport:
     """Report of the solver for the posterior."""
     at = solution.equations
     suspects = sum(int(np.sum(terms.robust_weights() < 0.5)) for terms in at.terms)
@@ -237,7 +234,7 @@ def _report(prior: Prior, solution: Solution, log_fit: float, clock: Stopwatch) 
         solution.last_step,
         at.rhs.size,
         solution.cost,
-        log_fit,
+        fit,
         suspects,
         clock.total(),
         worst="" if solution.outcome.sound else worst_readings(solution),

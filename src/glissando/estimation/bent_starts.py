@@ -79,7 +79,7 @@ def _fitted(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> State:
     moment, arclength = grid.time[grid.time.size // 2], grid.arclength
     nearest = [r.time[np.abs(r.time - moment).argmin()] for r in readings if len(r)]
     near = [r.select(r.time == t) for r, t in zip(filter(len, readings), nearest, strict=True)]
-    near = [r for r in near if _shows_shape(r)]
+    near = [r for r in near if shows_shape(r)]
     parts = min(prior.joints.size + 1, len(_STRIDES))
     ways = range(0, _WAYS, _STRIDES[parts - 1])
     arcs = _arcs(prior, arclength, list(product(ways, repeat=parts)))
@@ -95,7 +95,7 @@ def _fitted(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> State:
     return shapes.take(different)
 
 
-def _shows_shape(readings: Readings) -> bool:
+def shows_shape(readings: Readings) -> bool:
     """Whether readings are of pose or strain at their places, and not of velocity."""
     if readings.spans or readings.accelerates:
         return False

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from glissando.errors import UnobservableError
 from glissando.estimation.static_iteration import iterate
@@ -34,6 +33,8 @@ _OPEN = 0.1  # rad: standard deviation of a tangent, above which other shapes ar
 _STARTS = 12  # shapes of the prior from which they are sought
 _OPTIONS = SolverOptions(20, tolerance=1.0)
 _APART = 4.0  # standard deviations of position by which two shapes are distinct
+_MARGIN, _MOST = 4.0, 3  # log evidence by which likely shapes may differ; most of them
+_GAP = 0.05  # distance over the length by which they are distinct
 _TOGETHER = 50  # shapes for which others are sought in one batch
 
 
@@ -79,12 +80,9 @@ def other_shapes(
         numbers = is_open[first : first + _TOGETHER]
         own, located = found.take(numbers), _copies(arclength, readings, numbers)
         try:
-            shapes, failed = _ends(prior, located, own)
+            each, evidence = _ends(prior, located, own)
         except (UnobservableError, np.linalg.LinAlgError):
             continue
-        evidence = _log_evidence(linearize_static(prior, located, shapes))
-        evidence = np.where(failed, -np.inf, evidence).reshape(numbers.size, -1)
-        each = shapes.reshape(numbers.size, -1, arclength.size)
         std = np.sqrt(np.einsum("snii->sn", cov[numbers][..., :3, :3]))
         out += [
             other
@@ -92,6 +90,34 @@ def other_shapes(
             if (other := _judged(int(k), arclength, each.take(i), evidence[i], std[i]))
         ]
     return out
+
+
+def likely_shapes(
+    prior: Prior, arclength: Array, readings: Sequence[Readings], found: State
+) -> State:
+    """Distinct shapes (C, N) that explain the readings of one shape, likeliest first.
+
+    Args:
+        prior: Prior of the shapes, which fixes the base.
+        arclength: Nodes (N,), m.
+        readings: Readings of the shape, their `time` any number.
+        found: A shape (1, N) from which to search, besides shapes drawn from the prior.
+    """
+    own = [r.changed(time=np.zeros(len(r))) for r in readings]
+    located = _copies(arclength, own, np.zeros(1, dtype=np.intp))
+    try:
+        each, evidence = _ends(prior, located, found, anew=True)
+    except (UnobservableError, np.linalg.LinAlgError):
+        return found.take(slice(0))
+    order = np.argsort(-evidence[0], kind="stable")
+    kept: list[int] = []
+    place = each.pose[0, ..., :3, 3]
+    for k in order:
+        apart = np.linalg.norm(place[kept] - place[k], axis=-1).max(axis=1, initial=0.0)
+        probable = evidence[0, k] > evidence[0, order[0]] - _MARGIN
+        if probable and len(kept) < _MOST and np.all(apart > _GAP * arclength[-1]):
+            kept.append(int(k))
+    return each.take((0, kept))
 
 
 def _swing(state: State, cov: Array) -> Array:
@@ -115,15 +141,27 @@ def _copies(arclength: Array, readings: Sequence[Readings], numbers: Index) -> L
     return locate(Grid.apart(arclength, numbers.size * count), copied)
 
 
-def _ends(prior: Prior, located: LocatedReadings, found: State) -> tuple[State, NDArray[np.bool_]]:
-    """Shapes where the searches end, the one found first for each, and which searches failed."""
+def _ends(
+    prior: Prior, located: LocatedReadings, found: State, *, anew: bool = False
+) -> tuple[State, Array]:
+    """Shapes (S, C, N) where searches end, that found first for each, and log evidence (S, C).
+
+    Args:
+        prior: Prior of the shapes.
+        located: Readings of the shapes, repeated for each start.
+        found: Shapes (S, N) that were found.
+        anew: Whether these are starts as well.
+    """
     noise = draw_noise(prior, located, np.random.default_rng(0))
     start, own = shapes_of_prior(prior, located.grid, noise), slice(None, None, 1 + _STARTS)
     _put(start, own, found)
     shapes, _, failed = iterate(prior, located, start, _OPTIONS)
-    _put(shapes, own, found)
-    failed[own] = False
-    return shapes, failed
+    if not anew:
+        _put(shapes, own, found)
+        failed[own] = False
+    evidence = _log_evidence(linearize_static(prior, located, shapes))
+    evidence = np.where(failed, -np.inf, evidence).reshape(len(found.pose), -1)
+    return shapes.reshape(*evidence.shape, located.grid.arclength.size), evidence
 
 
 def _put(state: State, where: slice, values: State) -> None:

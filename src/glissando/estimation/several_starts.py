@@ -12,10 +12,14 @@ import numpy as np
 from glissando.errors import UnobservableError
 from glissando.estimation.bent_starts import bent_starts
 from glissando.estimation.misfit import is_implausible
+from glissando.estimation.other_shapes import PROBABLE
+from glissando.estimation.static_starts import WideBend, wide_bend
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior
+from glissando.model.priors.separable import SeparablePrior
+from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
@@ -26,6 +30,9 @@ _DOUBTFUL = 10.0  # error in standard deviations per unknown up to which a start
 _MOMENTS, _OF_ROD = 8, 28  # most time nodes for which bent shapes are starts; the same for a rod
 _ROUGH_ITERATIONS = 30  # from a bent shape
 _PATIENCE = 40  # iterations after which a search that is far from any minimum tries other starts
+_FAR = 0.05  # distance over the length, beyond which a motion is another
+_QUICK = 12  # iterations within which a search from rest is not astray
+_FEW = 30  # iterations from static shapes, which usually need half as many
 _SUSPECT = 3.0  # times the expected cost, beyond which other starts are tried
 
 Start = tuple[State | None, Sequence[tuple[SensorParameter, Array]]]
@@ -58,11 +65,12 @@ class StartProblem:
 _OtherStarts = Callable[[StartProblem, Solution | None, Start, Solve], Solution | None]
 
 
-def best_end(sought: StartProblem, start: Start, solve: Solve) -> Solution:
-    """Solve from a start, and from others if that start proves far off.
+def best_end(sought: StartProblem, start: Start, solve: Solve) -> tuple[Solution, str]:
+    """Solve from one start, and from others where that start proves far off.
 
-    Other starts are rest, and, if the solution does not explain the readings, bent shapes for few
-    time nodes, or for many the joined solutions of short pieces, solved one after the other.
+    A search that would start at rest starts at static shapes if the robot is widely bent. Other
+    starts are rest, and, if the solution does not explain the readings, bent shapes for few time
+    nodes, or for many the joined solutions of short pieces, solved one after the other.
 
     Args:
         sought: The problem.
@@ -70,7 +78,8 @@ def best_end(sought: StartProblem, start: Start, solve: Solve) -> Solution:
         solve: Solves from a start.
 
     Returns:
-        The best solution; its iterations are those from all starts.
+        The best solution, whose iterations are those from all starts, and a sentence on other
+        motions if they are probable.
 
     Raises:
         UnobservableError: All starts break down (or numpy's LinAlgError).
@@ -82,8 +91,77 @@ def best_end(sought: StartProblem, start: Start, solve: Solve) -> Solution:
         taken.append(solution.iterations)
         return solution
 
-    end = _best_end(sought, start, counted)
-    return replace(end, iterations=sum(taken))
+    bend = start[0] is None and wide_bend(sought.prior, sought.grid, sought.readings)
+    ends = _from_wide_bend(sought, bend, start, counted) if bend else []
+    end = _finished(sought, ends[0], counted) if ends else _best_end(sought, start, counted)
+    return replace(end, iterations=sum(taken)), _other_motions(sought, ends)
+
+
+def _from_wide_bend(
+    sought: StartProblem, bend: WideBend, start: Start, solve: Solve
+) -> list[Solution]:
+    """Plausible solutions, likeliest first: from rest if that is quick, else from static shapes."""
+    options = sought.options
+
+    def plausible(state: State | None, most: int) -> Solution | None:
+        limited = replace(options, max_iterations=min(options.max_iterations, most))
+        with suppress(np.linalg.LinAlgError, UnobservableError):
+            end = solve((state, start[1]), limited)
+            return None if is_implausible(sought.prior, end, _SUSPECT) else end
+        return None
+
+    quick = plausible(None, _QUICK)
+    if quick and quick.outcome.sound and quick.iterations <= _QUICK:
+        return [quick]
+    ends = [end for state in bend.starts() if (end := plausible(state, _FEW))]
+    return sorted(ends, key=log_fit, reverse=True)
+
+
+def _finished(sought: StartProblem, end: Solution, solve: Solve) -> Solution:
+    """The solution, continued if the search ended at its limit of iterations."""
+    left = sought.options.max_iterations - _FEW
+    if end.outcome is not Outcome.ITERATION_LIMIT or left <= 0:
+        return end
+    with suppress(np.linalg.LinAlgError, UnobservableError):
+        return solve(start_at(end), replace(sought.options, max_iterations=left))
+    return end
+
+
+def _other_motions(sought: StartProblem, ends: Sequence[Solution]) -> str:
+    """Sentence on other solutions far from the first, if they are probable; else empty.
+
+    A prior counts a shape that lasts once for every time scale, which exaggerates how much less
+    likely it is than another. Of a robot that is still the evidence at one moment is true, so
+    differences of evidence are divided by the number of time scales.
+    """
+    if len(ends) < 2:
+        return ""
+    time, length = sought.grid.time, float(sought.grid.arclength[-1])
+    scale = sought.prior.time_scale if isinstance(sought.prior, SeparablePrior) else np.inf
+    counted = max(1.0, float(time[-1] - time[0]) / scale)
+    place, odds = ends[0].state.pose[..., :3, 3], 0.0
+    farthest: tuple[float, int, int] = 0.0, 0, 0
+    for other in ends[1:]:
+        away = np.linalg.norm(other.state.pose[..., :3, 3] - place, axis=-1)
+        k, n = divmod(int(np.argmax(away)), away.shape[1])
+        if away[k, n] > _FAR * length:
+            odds += float(np.exp((log_fit(other) - log_fit(ends[0])) / counted))
+            farthest = max(farthest, (float(away[k, n]), k, n))
+    probability = odds / (1.0 + odds)
+    if probability < PROBABLE:
+        return ""
+    distance, k, n = farthest
+    return (
+        f"The readings also fit other motions, with a probability of {100.0 * probability:.0f} %, "
+        f"up to {distance:.2g} m away at {sought.grid.arclength[n]:.3g} m and "
+        f"{seconds(time[k])} s. The covariance describes the neighbourhood of one; a second "
+        f"sensor, or one that slides, would decide."
+    )
+
+
+def log_fit(solution: Solution) -> float:
+    """Log evidence without the prior's normaliser. Source: equation (22)."""
+    return -solution.cost - 0.5 * (solution.equations.log_det_noise + solution.cholesky.log_det)
 
 
 def _best_end(sought: StartProblem, start: Start, solve: Solve) -> Solution:

@@ -58,7 +58,7 @@ def starting_point(
         else:
             parameters = rough.located.parameters
             step = parameters.at(located.grid.time) - located.parameters.values
-            state = _refined(rough.state, coarse.grid.time, located.grid.time)
+            state = between_shapes(rough.state, coarse.grid.time, located.grid.time)
             return state, located.moved(step), rough.iterations
     convex = with_convex_losses(located)
     if soft is not prior or convex is not located:
@@ -137,7 +137,7 @@ def _thinned(readings: Readings, time: Array) -> Readings:
     return readings.select(np.arange(0, len(readings), every))
 
 
-def _refined(state: State, coarse: Array, time: Array) -> State:
+def between_shapes(state: State, coarse: Array, time: Array) -> State:
     """States (K, N) at other times: poses by Hermite cubics in the tangent space, others linear."""
     lower = np.clip(np.searchsorted(coarse, time, side="right") - 1, 0, coarse.size - 2)
     step = (coarse[lower + 1] - coarse[lower])[:, None, None]
