@@ -25,6 +25,7 @@ from glissando.model.evenly import evenly_chosen
 from glissando.model.grid import Grid, Index
 from glissando.model.priors.mechanical.prior import MechanicalPrior
 from glissando.model.priors.prior import Prior, load_kernels
+from glissando.model.sensors.compiled_readings import CompiledReadings
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State, concatenate
 from glissando.solver.gauss_newton import SolverOptions
@@ -112,10 +113,10 @@ def wide_bend(prior: Prior, grid: Grid, readings: Sequence[Readings]) -> WideBen
 
 def _nearest(moments: Array, readings: Sequence[Readings]) -> tuple[list[Readings], Array]:
     """Readings nearest to the moments, their `time` a moment's number, and the moments read."""
-    between, out = 0.5 * (moments[1:] + moments[:-1]), []
+    between, out = 0.5 * (moments[1:] + moments[:-1]), list[Readings]()
     for r in readings:
-        if not len(r) or not shows_shape(r):
-            continue
+        if not (len(r) and isinstance(r, CompiledReadings) and shows_shape(r)):
+            continue  # a user's own sensor may cost much, and is checked by the estimate
         number = np.searchsorted(between, r.time)
         order = np.lexsort((np.abs(r.time - moments[number]), number))
         rows = order[np.unique(number[order], return_index=True)[1]]
