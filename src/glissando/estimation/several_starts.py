@@ -13,7 +13,7 @@ from glissando.errors import UnobservableError
 from glissando.estimation.bent_starts import bent_starts
 from glissando.estimation.misfit import is_implausible
 from glissando.estimation.other_shapes import PROBABLE
-from glissando.estimation.static_starts import WideBend, wide_bend
+from glissando.estimation.static_starts import wide_bend
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.mechanical.prior import MechanicalPrior
@@ -68,9 +68,10 @@ _OtherStarts = Callable[[StartProblem, Solution | None, Start, Solve], Solution 
 def best_end(sought: StartProblem, start: Start, solve: Solve) -> tuple[Solution, str]:
     """Solve from one start, and from others where that start proves far off.
 
-    A search that would start at rest starts at static shapes if the robot is widely bent. Other
+    A search from rest that is not quick starts at static shapes if the robot is widely bent. Other
     starts are rest, and, if the solution does not explain the readings, bent shapes for few time
-    nodes, or for many the joined solutions of short pieces, solved one after the other.
+    nodes, or for many the joined solutions of short pieces, solved one after the other. With few
+    iterations allowed no other starts are tried.
 
     Args:
         sought: The problem.
@@ -91,22 +92,26 @@ def best_end(sought: StartProblem, start: Start, solve: Solve) -> tuple[Solution
         taken.append(solution.iterations)
         return solution
 
-    bend = start[0] is None and wide_bend(sought.prior, sought.grid, sought.readings)
-    ends = _from_wide_bend(sought, bend, start, counted) if bend else []
+    ends = _from_wide_bend(sought, start, counted) if start[0] is None else []
     end = _finished(sought, ends[0], counted) if ends else _best_end(sought, start, counted)
     return replace(end, iterations=sum(taken)), _other_motions(sought, ends)
 
 
-def _from_wide_bend(
-    sought: StartProblem, bend: WideBend, start: Start, solve: Solve
-) -> list[Solution]:
-    """Plausible solutions, likeliest first: from rest if that is quick, else from static shapes."""
+def _from_wide_bend(sought: StartProblem, start: Start, solve: Solve) -> list[Solution]:
+    """Plausible solutions where the robot is widely bent, likeliest first; none where it is not.
+
+    The only one is that from rest if that is quick; else they are those from static shapes.
+    """
     options = sought.options
+    if options.max_iterations < _ROUGH_ITERATIONS:
+        return []
+    bend = wide_bend(sought.prior, sought.grid, sought.readings)
+    if bend is None:
+        return []
 
     def plausible(state: State | None, most: int) -> Solution | None:
-        limited = replace(options, max_iterations=min(options.max_iterations, most))
         with suppress(np.linalg.LinAlgError, UnobservableError):
-            end = solve((state, start[1]), limited)
+            end = solve((state, start[1]), replace(options, max_iterations=most))
             return None if is_implausible(sought.prior, end, _SUSPECT) else end
         return None
 
