@@ -98,7 +98,7 @@ probability. It does not find all: where the position of the tip alone is read, 
 as well, and some of the shapes that it does not name are far off.
 [`sample_static`](api/index.md) draws a hundred shapes that explain the readings in one to two
 seconds; their distribution includes the ambiguity. A second sensor, or one that
-slides, resolves it.
+slides, can resolve it.
 
 In the table, true shapes are drawn from the prior of `tdcr466-segments`, and read to 1 mm (and 10
 mrad for a coil's direction). Each cell gives the share inside 95 %, and the mean squared error over

@@ -75,21 +75,18 @@ def nees(found, truth, tip, n=2):
     return float(squares.mean()) / 3.0
 
 
-@pytest.mark.parametrize("seed", [5, 19, 57])
-def test_a_still_robot_bent_by_a_turn_is_found_in_few_steps(seed):
-    """From rest 57, 118 and 15 iterations, the last to a shape 110 mm off, ± 10 mm."""
-    tip, truth = still(seed)
-    found, _ = estimated(tip)
-    assert found.solve.converged
-    assert found.solve.iterations < 60
-    assert nees(found, truth, tip) < 5.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [5, 12])
-def test_a_robot_bent_by_a_turn_that_moves_slowly_is_found_in_few_steps(seed):
-    """From rest 120 and 204 iterations, the last not converged."""
-    tip, truth = slow(seed)
+@pytest.mark.parametrize(
+    ("motion", "seed"),
+    [
+        (still, 19),
+        (still, 57),
+        pytest.param(slow, 5, marks=pytest.mark.slow),
+        pytest.param(slow, 12, marks=pytest.mark.slow),
+    ],
+)
+def test_a_robot_bent_by_a_turn_is_found_in_few_steps(motion, seed):
+    """From rest 118, 15, 120 and 204 iterations: the second 110 mm off, the last not converged."""
+    tip, truth = motion(seed)
     found, _ = estimated(tip)
     assert found.solve.converged
     assert found.solve.iterations < 60

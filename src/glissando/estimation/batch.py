@@ -35,7 +35,9 @@ def estimate(
     """Posterior over pose, strain and velocity, continuous in arclength and time.
 
     The iteration starts at rest, on coarse time nodes, or at `initial`. If that start proves far
-    off, rest is tried as well, and the better solution is returned. A reading that all others
+    off, rest is tried as well, and the better solution is returned. Where a robot with a strain
+    prior is widely bent between read places and the search from rest is not quick, it starts at
+    static shapes of one moment, and the likeliest solution is returned. A reading that all others
     refute is left out and listed in the report; streams with a robust loss keep all readings, and
     with a mechanical prior readings that a contact explains are kept. Readings of sensors in
     channels beside the backbone are located by the shape, iterated until both agree (M8).
@@ -63,7 +65,8 @@ def estimate(
 
     Warns:
         NotConvergedWarning: The iteration stopped early, as `Posterior.solve` also reports.
-        FalseConfidenceWarning: Many readings contradict the estimate; `Posterior.solve` names them.
+        FalseConfidenceWarning: Many readings contradict the estimate, or other motions are
+            probable; `Posterior.solve` names them.
     """
     prior, sensor_parameters = model_of(model, sensor_parameters)
     require_batch(prior, grid, readings, sensor_parameters, initial, options)

@@ -1,4 +1,4 @@
-"""Solve from one start, and from others if the solution is implausible: rest, arcs, pieces."""
+"""Solve from one start, and from others if it may be astray: static shapes, rest, arcs, pieces."""
 
 from __future__ import annotations
 

@@ -27,7 +27,8 @@ class SolveReport:
         seconds: Processor time by phase, s; empty for a posterior that was loaded.
         refused: Rows of each stream that were not used, as all other readings refute them.
         worst: If the estimate did not converge, the readings with the largest residuals.
-        doubt: Sentence on why covariances are too small, if many readings contradict the estimate.
+        doubt: Sentence on why covariances are too small, if many readings contradict the estimate
+            or other motions are probable.
     """
 
     outcome: Outcome

@@ -59,8 +59,8 @@ class WideBend:
 
     def starts(self) -> list[State]:
         """States (K, N) to start from, likeliest first."""
-        prior, grid, own = self.prior, self.grid, [self.widest]
-        near = [r.select(np.isin(r.time, own)) for r in self.readings]
+        prior, grid = self.prior, self.grid
+        near = [r.select(r.time == self.widest) for r in self.readings]
         likely = likely_shapes(prior, grid.arclength, near, self.shape)
         if not len(likely.pose):
             return []
