@@ -189,7 +189,7 @@ def main():
     elif options.window or options.robot:
         parser.error("--window and --robot are of a recording; name it with --recording")
     elif not options.folder.is_dir():
-        raise GlissandoError(f"{options.folder} is no folder of recordings; give --recording.")
+        raise GlissandoError(f"{options.folder} is not a folder of recordings; give --recording.")
     else:
         every = rows(options.folder)
     found = []

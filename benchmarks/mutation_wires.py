@@ -43,7 +43,7 @@ def rigid(pose):
     """Raise unless a pose is finite and rigid: a parser must not accept other poses."""
     assert np.all(np.isfinite(pose)), "a pose is not finite"
     turn = pose[:3, :3]
-    assert np.abs(turn @ turn.T - np.eye(3)).max() < 1e-2, "a pose is no rigid motion"
+    assert np.abs(turn @ turn.T - np.eye(3)).max() < 1e-2, "a pose is not a rigid motion"
 
 
 def read_aurora(raw):

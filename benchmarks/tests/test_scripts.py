@@ -35,7 +35,7 @@ def script(name, *arguments):
         ("real.py", ["--window", 1, 2], "name it with --recording"),
         ("tube.py", ["--recording", "/nowhere"], "no recording folder '/nowhere'"),
         ("tube.py", ["/nowhere", "--json"], "holds no public recordings"),
-        ("claimed.py", ["/nowhere", "--json"], "is no folder of recordings"),
+        ("claimed.py", ["/nowhere", "--json"], "is not a folder of recordings"),
         ("sbc.py", ["--sessions", 0], "--sessions is 1 or more"),
         ("contacts.py", ["--touched", 0], "ten shapes or more"),
         ("wrenches.py", ["--shapes", "/nowhere.csv", *ROD], "No such file"),

@@ -146,7 +146,7 @@ def test_a_recording_of_the_public_layout_is_kept_as_any_other(held, tmp_path, c
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (". --level 1.5", "A level of 1.5 is no probability"),
+        (". --level 1.5", "A level of 1.5 is not a probability"),
         (". --level 0.5 --block nan", "Blocks of nan s cannot be"),
         (".", "is a folder; name a file"),
         ("recording.toml/tube.toml", "recording.toml is not a folder that can be written to"),

@@ -1,17 +1,20 @@
 """`glissando plan` and `glissando design`: files and numbers, or one sentence and nothing."""
 
 import json
+import warnings
 
 import numpy as np
 import pytest
 
 from command_line import run
 from glissando import CoilReadings, estimate, load_robot
+from glissando.cli.plan import _warn_of_better
 from glissando.cli.progress import Work
 from glissando.io.netcdf import save_posterior
 from glissando.io.recording_folder import load_recording
 from glissando.io.shipped_robots import robot_file
 from glissando.planning import Design, pareto_front
+from glissando.planning.compare import PathEvaluation
 from glissando.visualization import planning_figures
 
 
@@ -95,6 +98,17 @@ def test_a_plan_is_as_good_as_what_it_is_compared_with_or_a_warning_says_so(caps
     assert "The oscillating path does better" in told.err
 
 
+@pytest.mark.parametrize(("share", "warned"), [(1e-5, False), (5e-3, True)])
+@pytest.mark.parametrize("value", [-40.0, 2e-6])
+def test_a_path_that_is_better_by_what_no_one_notices_is_no_reason_to_warn(value, share, warned):
+    other = value - share * abs(value)
+    values = {"planned": value, "oscillating": other, "fixed": value + abs(value)}
+    results = {n: PathEvaluation(np.zeros(1), v, 0.0, 0.0) for n, v in values.items()}
+    with warnings.catch_warnings(record=True, action="always") as seen:
+        _warn_of_better(results)
+    assert bool(seen) == warned
+
+
 def test_a_mount_counts_by_the_stream_that_slides(tmp_path, capsys):
     file = tmp_path / "mine.toml"
     text = robot_file("sliding700").read_text(encoding="utf-8").replace('["coil"]', '["aurora"]')
@@ -157,7 +171,7 @@ def test_sensors_are_placed_within_a_budget(tmp_path, capsys):
     [
         (("--sensor", "coil"), "is not understood; give KIND=COST"),
         (("--sensor", "coil=0"), "give a cost above 0"),
-        (("--sensor", "magnet=1"), "'magnet' is no kind of sensor"),
+        (("--sensor", "magnet=1"), "'magnet' is not a kind of sensor"),
         (("--sensor", "coil=2", "--budget", "1"), "the cheapest sensor costs 2"),
         (("--sensor", "coil=1", "--budget", "nan"), "A budget of nan cannot be"),
         (("--sensor", "coil=1", "--budget", "inf"), "A budget of inf cannot be"),

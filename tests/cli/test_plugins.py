@@ -83,7 +83,7 @@ def test_a_sensor_and_a_prior_of_ones_own_reach_every_command(bench):
     assert run(*exported, *own).returncode == 0
     without = run(*exported)
     assert without.returncode == 2
-    assert "'plain' is no kind of prior" in without.stderr
+    assert "'plain' is not a kind of prior" in without.stderr
     assert "--plugin FILE" in without.stderr
     assert "damaged" not in without.stderr
     assert run("rerun", "results/report.json").returncode == 2  # a report starts no program

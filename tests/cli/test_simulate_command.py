@@ -124,7 +124,7 @@ def shaped(text, *more):
         (["--slide", "hold", "--at", "-0.1"], 2, "100 mm beyond the tip"),
         (["--duration", "-3"], 2, "session of -3 s cannot be"),
         (["--duration", "nan"], 2, "session of nan s cannot be"),
-        (["--without", "noise"], 2, "'noise' is no imperfection"),
+        (["--without", "noise"], 2, "'noise' is not an imperfection"),
         (["--seed", "-1"], 2, "Seed -1 cannot be"),
         (["--robot", "nobody"], 2, "no robot named 'nobody'"),
         (["--robot", "tdcr466"], 2, "has no [physics]"),

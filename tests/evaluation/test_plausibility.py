@@ -170,7 +170,7 @@ def test_a_check_that_is_allowed_is_left_out_and_others_stay(session):
     robot, (coil,), _, frames = session
     wrong = coil.changed(cov=1e6 * coil.cov, time=1e3 * coil.time)
     assert found(robot, [wrong], (), frames, allow=["noise"]).keys() == {"time-unit"}
-    with pytest.raises(GlissandoError, match="'nose' is no check; known: accelerometer, axes"):
+    with pytest.raises(GlissandoError, match="'nose' is not a check; known: accelerometer, axes"):
         found(robot, [coil], allow=["nose"])
 
 

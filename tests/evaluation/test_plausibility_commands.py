@@ -38,7 +38,7 @@ def test_the_command_line_refuses_names_the_cause_and_obeys(folder, tmp_path, ca
         assert "positions are probably in millimetres" in told
         assert "--allow length-unit" in told
     assert main(["estimate", str(wrong), "--allow", "lengthunit"]) == 2
-    assert "is no check" in capsys.readouterr().err
+    assert "is not a check" in capsys.readouterr().err
     description = wrong / "recording.toml"
     description.write_text('allow = ["length-unit", "noise"]\n' + description.read_text())
     assert "length-unit" not in {f.name for f in _of_recording(wrong)}

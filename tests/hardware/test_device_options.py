@@ -17,7 +17,7 @@ MOCAP = [*SCENE, "--bodies", "tip=0.1", "--to"]
         ("aurora", SCENE, "give --tcp PORT or --pty LINK"),
         ("vicon", [*MOCAP, "here"], "is no HOST:PORT"),
         ("vicon", [*MOCAP, "127.0.0.1:x"], "give 0 to 65535"),
-        ("vicon", [*MOCAP, "127.0.0.1:9", "--seed", "-1"], "is no seed"),
+        ("vicon", [*MOCAP, "127.0.0.1:9", "--seed", "-1"], "is not a seed"),
         ("servo", ["--lead", "0"], "give a number above zero"),
         ("servo", ["--clock", "inf"], "give a finite one"),
         ("servo", ["--ends", "0.06", "0"], "give ends that increase"),

@@ -80,7 +80,7 @@ def test_true_travel_is_sent_200_times_a_second():
 
 def test_a_device_that_does_not_start_is_one_sentence():
     with (
-        pytest.raises(SimulationError, match=r"did not start: 'loud' is no fault"),
+        pytest.raises(SimulationError, match=r"did not start: 'loud' is not a fault"),
         started("servo", "--faults", "loud=1"),
     ):
         pass

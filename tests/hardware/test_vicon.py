@@ -234,7 +234,7 @@ def test_faults_are_what_the_receiver_counts():
         (["--bodies", "tip=far"], "give NAME=ARCLENGTH"),
         (["--bodies", "=0.1"], "give each a name of 1 to 24 bytes"),
         (["--bodies", "tip=0.9"], "0.9 lies outside the scene, 0 to 0.4"),
-        (["--faults", "gremlins=1"], "'gremlins' is no fault"),
+        (["--faults", "gremlins=1"], "'gremlins' is not a fault"),
         (["--scene", "nowhere.npz"], "Scene nowhere.npz cannot be read"),
     ],
 )

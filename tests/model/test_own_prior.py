@@ -81,7 +81,7 @@ def test_a_prior_of_ones_own_is_read_estimated_with_and_written(tmp_path):
 
 def test_a_prior_that_nobody_registered_is_named():
     with pytest.raises(
-        GlissandoError, match="'magic' is no kind of prior; known: white-noise, sep"
+        GlissandoError, match="'magic' is not a kind of prior; known: white-noise, sep"
     ):
         registry.prior_class("magic")
 

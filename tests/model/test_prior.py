@@ -67,7 +67,7 @@ def test_a_joint_that_is_no_node_is_refused_whatever_varies_there():
         lambda: estimate(bent, Grid(np.linspace(0.0, 0.4, 5), [0.0]), []),
         lambda: estimate_static(bent, np.linspace(0.0, 0.4, 5), [], count=1),
     ):
-        with pytest.raises(OutsideGridError, match=r"joint at 0\.25 m, which is no arclength node"):
+        with pytest.raises(OutsideGridError, match=r"0\.25 m, which is not an arclength node"):
             call()
 
 

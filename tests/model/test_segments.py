@@ -119,7 +119,7 @@ def test_a_joint_that_is_no_node_is_named_with_the_nearest(kind, joint):
     prior = in_two(PRIORS[kind], np.ones((1, 6)), joint=joint)
     grid = Grid([0.0, 0.16, 0.32, 0.4], [0.0, 0.1])
     near = {0.1: "0.16", 0.25: "0.32"}[joint]
-    sentence = rf"joint at {joint:g} m, which is no arclength node .* nearest is {near} m"
+    sentence = rf"joint at {joint:g} m, which is not an arclength node .* nearest is {near} m"
     with pytest.raises(OutsideGridError, match=sentence):
         estimate(prior, grid, [])
 

@@ -64,7 +64,7 @@ def test_lists_do_as_well_as_arrays(model):
         (SeparablePrior, {"psd_strain_arclength": -SIX}, "psd_strain_arclength holds -1"),
         (SeparablePrior, {"psd_strain_arclength": "stiff"}, "is 'stiff'; give numbers"),
         (SeparablePrior, {"base": None}, "base is None; give a BaseVariance"),
-        (SeparablePrior, {"base_pose": 2 * np.eye(4)}, "base_pose is no pose"),
+        (SeparablePrior, {"base_pose": 2 * np.eye(4)}, "base_pose is not a pose"),
         (SeparablePrior, {"base_pose": np.eye(4) + 300 * np.eye(4, k=3)}, "not millimetres"),
         (SeparablePrior, {"rest_strain": 0 * SIX}, "extension of 0; a straight rod"),
         (SeparablePrior, {"joints": [0.2], "jumps": SIX}, r"jumps has shape \(6,\)"),

@@ -136,7 +136,7 @@ def test_a_mesh_of_others_is_refused_or_read_alone(tmp_path):
         "property list uchar int vertex_indices\nend_header\n"
     )
     for name in ("pipe.stl", "box.3mf", "long.stl", "long.ply", "none.stl"):
-        with pytest.raises(GlissandoError, match=r"is no mesh|has 0 triangles"):
+        with pytest.raises(GlissandoError, match=r"is not a mesh|has 0 triangles"):
             read_mesh(tmp_path / name, np.eye(4))
 
 

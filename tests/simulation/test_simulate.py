@@ -212,7 +212,7 @@ def test_a_robot_holds_still_before_and_after_a_sudden_pull():
     [
         (lambda: Imperfections(bias=-1.0), "bias is -1.0; give a number from 0"),
         (lambda: Imperfections(roll="some"), "roll is 'some'; give one of arbitrary"),
-        (lambda: Imperfections().without("noise"), "'noise' is no imperfection; name some of"),
+        (lambda: Imperfections().without("noise"), "'noise' is not an imperfection; name some of"),
         (lambda: BENCH.shape("Z"), "no shape named 'Z'"),
         (lambda: load_bench(robot_file("tdcr466")), "has no [physics]"),
         (lambda: session(seed=0, duration=-1.0), "session of -1 s cannot be"),

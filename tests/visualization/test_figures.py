@@ -113,7 +113,7 @@ def test_a_figure_without_room_for_its_axes_is_refused(scene, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--out a.bmp", "'a.bmp' is no figure: end it in"),
+        ("--out a.bmp", "'a.bmp' is not a figure: end it in"),
         ("--out a.png --font-size inf", "--font-size inf: give points, up to 100"),
         ("--out a.png --times ,", "--times names no time"),
         ("--out a.png --size ,", "give width and height in mm"),

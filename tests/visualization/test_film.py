@@ -89,8 +89,8 @@ def test_an_ffmpeg_that_fails_is_one_sentence_and_leaves_nothing(scene, tmp_path
 @pytest.mark.parametrize(
     ("name", "changes", "sentence"),
     [
-        ("film.avi", {}, r"film\.avi is no animation: give a path that ends in \.gif or \.mp4\."),
-        ("film", {}, "film is no animation"),
+        ("film.avi", {}, r"film\.avi is not an animation: end it in \.gif or \.mp4\."),
+        ("film", {}, "film is not an animation"),
         ("film.gif", {"seconds": 0.0}, "give seconds above 0"),
         ("film.gif", {"seconds": np.nan}, "give seconds above 0"),
         ("film.gif", {"rate": 0.0}, "a rate up to 50"),

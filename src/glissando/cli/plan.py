@@ -75,6 +75,7 @@ scene is written and an example: docs/how-to/scenes.md.
 exit status: 0 done; 2 something given was wrong.
 """
 
+_EQUAL = 1e-3  # relative difference of objectives that the table's four digits hardly show
 _OF_ZONES = (
     *("posterior", "horizon", "objective", "bound", "limits", "stream"),
     *("start", "rate", "node_step", "speed_weight"),
@@ -195,9 +196,9 @@ def _planning_source(options: argparse.Namespace, robot: Robot) -> Posterior | R
 
 
 def _warn_of_better(results: Mapping[str, PathEvaluation]) -> None:
-    """Warn if a baseline path has a lower objective than the plan."""
-    best = min(results, key=lambda name: results[name].value)
-    if best != "planned":
+    """Warn if a baseline path has a lower objective than the plan, by more than _EQUAL."""
+    best, planned = min(results, key=lambda name: results[name].value), results["planned"].value
+    if results[best].value < planned - _EQUAL * abs(planned):
         warnings.warn(
             f"The {best} path does better than the planned one; look farther ahead with --horizon, "
             f"as the rest in which a plan ends then weighs less, or try another --seed.",

@@ -28,7 +28,7 @@ def require_tube(seconds: float, level: float = 0.95) -> None:
     if not (math.isfinite(seconds) and seconds >= 0.0):
         raise GlissandoError(f"Blocks of {seconds:g} s cannot be; give 0 s or more.")
     if not 0.0 < level < 1.0:
-        raise GlissandoError(f"A level of {level:g} is no probability; give one such as 0.95.")
+        raise GlissandoError(f"A level of {level:g} is not a probability; give one such as 0.95.")
 
 
 def block_scores(errors: Sequence[Errors], seconds: float) -> Array:

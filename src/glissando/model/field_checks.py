@@ -91,7 +91,7 @@ class FieldChecks:
         rotation = value[:3, :3]
         orthonormal = np.abs(rotation.T @ rotation - np.eye(3)).max() < _ROTATION_TOLERANCE
         if not orthonormal or np.linalg.det(rotation) < 0.0 or np.any(value[3] != [0, 0, 0, 1]):
-            raise self.fail(name, "is no pose; give a rotation, a position and [0, 0, 0, 1].")
+            raise self.fail(name, "is not a pose; give a rotation, a position and [0, 0, 0, 1].")
         distance = float(np.linalg.norm(value[:3, 3]))
         if distance > _LARGEST_DISTANCE:
             raise self.fail(

@@ -86,7 +86,7 @@ def node_at(arclength: Array, place: float, what: str) -> int:
     at = int(np.argmin(np.abs(arclength - place)))
     if abs(arclength[at] - place) > SAME:
         raise OutsideGridError(
-            f"{what} at {place:g} m, which is no arclength node of the grid (the nearest is "
+            f"{what} at {place:g} m, which is not an arclength node of the grid (the nearest is "
             f"{arclength[at]:g} m); add it to the nodes."
         )
     return at

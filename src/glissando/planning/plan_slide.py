@@ -143,7 +143,7 @@ def _require_plannable(
         )
     if not 0.0 <= speed_weight < np.inf:
         raise GlissandoError(
-            f"A speed's weight of {speed_weight:g} s² cannot be; give 0 or more, finite."
+            f"A speed's weight of {speed_weight:g} cannot be; give 0 or more, finite."
         )
 
 

@@ -111,7 +111,7 @@ class Imperfections:
         """
         for name in names:
             if name not in (*PARTS, "all"):
-                raise SimulationError(f"{name!r} is no imperfection; name some of {_LISTED}.")
+                raise SimulationError(f"{name!r} is not an imperfection; name some of {_LISTED}.")
         parts = [*PARTS] if "all" in names else names
         off: dict[str, Any] = {key: 0.0 for name in parts for key in PARTS[name] if key != "roll"}
         return replace(self, **off, roll="true" if "roll" in parts else self.roll)

@@ -140,7 +140,7 @@ def _tuples() -> dict[Any, Any]:
 def require_ending(path: Path) -> None:
     """Raise GlissandoError unless a file has the suffix of a figure."""
     if path.suffix.lower() not in (".png", ".pdf", ".svg"):
-        raise GlissandoError(f"{str(path)!r} is no figure: end it in .png, .pdf or .svg.")
+        raise GlissandoError(f"{str(path)!r} is not a figure: end it in .png, .pdf or .svg.")
 
 
 def save_figure(drawn: Any, path: str | Path) -> Path:

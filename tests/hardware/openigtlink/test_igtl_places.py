@@ -25,7 +25,7 @@ def test_a_length_has_the_prefix_that_it_states(prefix, metres):
 
 @pytest.mark.parametrize("unit", [METRE | PER_SECOND, 0xB << 60, 0x8 << 60 | METRE, 0x02 << 54])
 def test_what_is_no_length_is_refused(unit):
-    with pytest.raises(DeviceError, match="is no length; send metres"):
+    with pytest.raises(DeviceError, match="is not a length; send metres"):
         WireFrame().length_unit(unit)
 
 

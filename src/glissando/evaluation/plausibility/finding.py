@@ -73,7 +73,7 @@ def require_known(allow: Iterable[str]) -> None:
     """
     for name in allow:
         if name not in CHECKS:
-            raise GlissandoError(f"--allow {name!r} is no check; known: {', '.join(CHECKS)}.")
+            raise GlissandoError(f"--allow {name!r} is not a check; known: {', '.join(CHECKS)}.")
 
 
 def refuse(findings: Sequence[Finding]) -> None:

@@ -149,7 +149,7 @@ class _Tcp:
         except ValueError:
             host = port = None
         if not host or not port:
-            raise DeviceError(f"{address} is no network address; give tcp://host:port.")
+            raise DeviceError(f"{address} is not a network address; give tcp://host:port.")
         try:
             self.socket = socket.create_connection((host, port), _CONNECT)
         except OSError as problem:

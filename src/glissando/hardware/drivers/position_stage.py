@@ -41,7 +41,7 @@ class PositionStage:
         low, high = self.stroke
         positive = self.speed, self.acceleration, self.lag
         if not all(map(math.isfinite, (low, high, *positive))):
-            raise DeviceError(f"{self} holds a value that is no number; correct it.")
+            raise DeviceError(f"{self} holds a value that is not a number; correct it.")
         if not low < high:
             raise DeviceError(
                 f"A stroke from {low:g} to {high:g} m cannot be; give a lower and a higher end."
@@ -53,7 +53,7 @@ class PositionStage:
         if high - low > 5.0 or self.speed > 5.0 or self.acceleration > 50.0 or self.lag > 0.5:
             raise DeviceError(
                 f"A stroke of {high - low:g} m at {self.speed:g} m/s and {self.acceleration:g} "
-                f"m/s², {self.lag:g} m from its path at most, is no stage of a laboratory; give "
+                f"m/s², {self.lag:g} m from its path at most, is not a laboratory's stage; give "
                 f"metres, m/s and m/s²."
             )
         if self.home is not None and not low - 1.0 <= self.home <= high + 1.0:

@@ -182,7 +182,7 @@ class IgtlSource(EndpointUser):
         kind, table = message.metadata.get("kind", ""), np.asarray(message.content.values, float)
         sensor = SENSORS.get(kind)
         if sensor is None or sensor.settings or table.ndim != 2 or not len(table):
-            raise DeviceError(f"{message.device} sent an array that is no readings; leave it out.")
+            raise DeviceError(f"{message.device} sent an array without readings; leave it out.")
         units = ["s", "", *sensor.columns.values()]
         if table.shape[1] != len(units):
             raise DeviceError(f"{message.device} sent {table.shape[1]} columns, not {len(units)}.")

@@ -84,12 +84,12 @@ class Address:
             clock, start = options.pop("clock", "fitted"), int(options.pop("start", "0"))
             send = tuple(options.pop("send", ",".join(SENT[:-1])).split(","))
         except ValueError as problem:
-            raise DeviceError(f"{text!r} is no address ({problem}); {_HINT}") from None
+            raise DeviceError(f"{text!r} is not an address ({problem}); {_HINT}") from None
         listens = parts.scheme == "igtl-server"
         valid = unit in _UNITS and axes in _AXES and clock in _CLOCKS and 0 <= start <= _LONGEST
         valid &= {*send} <= {*SENT}
         if not (listens or parts.scheme == "igtl") or options or parts.path or not valid:
-            raise DeviceError(f"{text!r} is no address; {_HINT}")
+            raise DeviceError(f"{text!r} is not an address; {_HINT}")
         return cls(host, port, listens, _UNITS[unit], axes, clock, start, send)
 
     @classmethod
@@ -149,5 +149,5 @@ class WireFrame:
         if not unit & _UNIT_BITS and prefix == 1.0:
             return self.scale
         if unit & _UNIT_BITS not in _METRES or prefix is None:
-            raise DeviceError(f"A place in the unit {unit:#018x} is no length; send metres.")
+            raise DeviceError(f"A place in the unit {unit:#018x} is not a length; send metres.")
         return prefix

@@ -30,7 +30,7 @@ def parse_faults(kind: type[F], text: str) -> F:
     for part in filter(None, text.split(",")):
         name, _, value = part.strip().partition("=")
         if name not in defaults:
-            raise SimulationError(f"{name!r} is no fault; give some of {', '.join(defaults)}.")
+            raise SimulationError(f"{name!r} is not a fault; give some of {', '.join(defaults)}.")
         pair = isinstance(defaults[name], tuple)
         try:
             numbers = tuple(float(number) for number in value.split(":"))

@@ -172,12 +172,12 @@ def address(text: str) -> tuple[str, int]:
 
 def port(text: str) -> int:
     """Parse a port of a command line, 0 for any."""
-    return _integer(text, 0xFFFF, "is no port; give 0 to 65535")
+    return _integer(text, 0xFFFF, "is not a port; give 0 to 65535")
 
 
 def seed(text: str) -> int:
     """Parse a seed of a command line."""
-    return _integer(text, 2**63 - 1, "is no seed; give a whole number, 0 or more")
+    return _integer(text, 2**63 - 1, "is not a seed; give a whole number, 0 or more")
 
 
 def finite(text: str) -> float:
@@ -187,7 +187,7 @@ def finite(text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number; give a finite one")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number; give a finite one")
     return value
 
 

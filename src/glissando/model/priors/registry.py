@@ -40,7 +40,7 @@ def prior_class(kind: str) -> type[Prior]:
     """
     if kind not in _PRIORS:
         raise UnknownPriorError(
-            f"{kind!r} is no kind of prior; known: {', '.join(_PRIORS)}. Import the file that "
+            f"{kind!r} is not a kind of prior; known: {', '.join(_PRIORS)}. Import the file that "
             f"declares another (--plugin FILE)."
         )
     return _PRIORS[kind]

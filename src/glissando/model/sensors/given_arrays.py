@@ -39,7 +39,7 @@ def require_rotations(label: str, values: Array) -> None:
         sound &= np.all(values[:, 3] == [0.0, 0.0, 0.0, 1.0], axis=-1)
     if not np.all(sound):
         raise SensorError(
-            f"{label}: row {int(np.argmin(sound))} is no rigid motion; give rotation matrices "
+            f"{label}: row {int(np.argmin(sound))} is not a rigid motion; give rotation matrices "
             f"(orthonormal, right-handed), poses with a last row 0 0 0 1."
         )
 

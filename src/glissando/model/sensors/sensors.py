@@ -38,7 +38,7 @@ def sensor_class(kind: str) -> type[Readings]:
         SensorError: No sensor has that kind.
     """
     if kind not in SENSORS:
-        raise SensorError(f"{kind!r} is no kind of sensor; known: {', '.join(SENSORS)}.")
+        raise SensorError(f"{kind!r} is not a kind of sensor; known: {', '.join(SENSORS)}.")
     return SENSORS[kind]
 
 

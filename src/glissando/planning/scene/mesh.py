@@ -145,7 +145,7 @@ def _closed_surface(path: Path, pose: Array, scale: float) -> Any:
         sound = surface.faces.size and np.all(np.isfinite(surface.vertices))
     except Exception as problem:  # trimesh has no errors of its own
         why = str(problem)[:200] or type(problem).__name__
-        raise GlissandoError(f"{path} is no mesh ({why}); give STL, OBJ or PLY.") from None
+        raise GlissandoError(f"{path} is not a mesh ({why}); give STL, OBJ or PLY.") from None
     if not sound or len(surface.faces) > _TRIANGLES:
         raise GlissandoError(
             f"{path.name} has {len(surface.faces):,} triangles, or points that are not finite; "

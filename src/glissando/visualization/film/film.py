@@ -75,7 +75,7 @@ def save_animation(
 
 def _require(path: Path, grid: Grid, seconds: float, rate: float, width: int) -> None:
     if path.suffix.lower() not in (".gif", ".mp4"):
-        raise GlissandoError(f"{path.name} is no animation: give a path that ends in .gif or .mp4.")
+        raise GlissandoError(f"{path.name} is not an animation: end it in .gif or .mp4.")
     if not (np.isfinite(seconds) and seconds > 0.0 and 0.0 < rate <= _FASTEST and width >= 100):
         raise GlissandoError(
             f"No animation lasts {seconds:g} s at {rate:g} frames a second, {width} pixels wide: "
