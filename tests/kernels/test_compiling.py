@@ -207,6 +207,20 @@ class _Part:
         self.file, self.work = name, lambda: work
 
 
+def test_modules_that_are_compiled_one_after_another_are_announced_once(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(jit, "_NOTICE", 0.001)
+    for _ in range(3):
+        over = threading.Event()
+        said = threading.Thread(target=jit._say, args=([_Part("kernel", 1)], tmp_path, over))
+        said.start()
+        over.wait(0.2)  # shorter than the time between messages
+        over.set()
+        said.join()
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_the_line_counts_only_what_is_compiled_now(seed, tmp_path, monkeypatch, capsys):
     """What an earlier process left, most of it even, is no progress of this one."""

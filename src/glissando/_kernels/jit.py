@@ -32,8 +32,9 @@ except ImportError:  # Windows: two processes at once may compile twice
     fcntl = None  # type: ignore[assignment]
 
 _KERNELS: list[Kernel] = []
+_NAMED: set[Path] = set()  # cache folders that messages of this process have named
 _LOCK = threading.RLock()
-_NOTICE, _AGAIN = 1.0, 5.0  # seconds of compiling until the first message, and between messages
+_NOTICE, _AGAIN = 1.0, 5.0  # seconds of compiling until a first message, and until others
 _PROCESSES = 4  # largest number of processes that compile at once
 _KEPT = 8  # cache folders of other versions and copies that are kept
 
@@ -251,9 +252,10 @@ def _say(kernels: list[Kernel], folder: Path, over: threading.Event) -> None:
     """
     before = _on_disk(folder)
     work = {kernel.file: kernel.work() for kernel in kernels if kernel.file not in before}
-    began, wait = time.monotonic(), _NOTICE
-    while not over.wait(wait):
-        wait, elapsed = _AGAIN, time.monotonic() - began
+    began = time.monotonic()
+    while not over.wait(_AGAIN if folder in _NAMED else _NOTICE):
+        _NAMED.add(folder)
+        elapsed = time.monotonic() - began
         done = sum(work[file] for file in _on_disk(folder) & work.keys())
         share = min(done / max(sum(work.values()), 1), 0.99)
         what = f"compiling its inner loops, once, into {folder}"
