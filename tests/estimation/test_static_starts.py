@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from glissando import CoilReadings, Grid, estimate, load_robot
+from glissando import CoilReadings, FixedLagSmoother, Grid, estimate, load_robot
 from glissando.errors import FalseConfidenceWarning
 from glissando.estimation.static_starts import wide_bend
 from glissando.evaluation.prior_predictive import PriorPredictive
@@ -99,6 +99,21 @@ def test_a_tip_that_two_shapes_explain_is_named(seed, ambiguous):
     found, named = estimated(tip)
     assert named == ambiguous
     assert nees(found, truth, tip) < 5.0 or named
+
+
+@pytest.mark.parametrize(("seed", "ambiguous"), [(24, True), (29, True), (2, False), (4, False)])
+def test_a_loop_that_starts_from_readings_of_several_shapes_says_so_once(seed, ambiguous):
+    """It goes on from the likeliest, which is 150 and 260 mm off for the first two."""
+    tip, _ = still(seed)
+    smoother, before = FixedLagSmoother(ROBOT.prior, ROBOT.arclength_nodes), -1.0
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        for now in np.arange(1.0, 6.0) / ROBOT.time_rate:
+            smoother.add(tip.select((tip.time > before) & (tip.time <= now)))
+            smoother.advance(now)
+            before = now
+    said = [str(w.message) for w in caught if issubclass(w.category, FalseConfidenceWarning)]
+    assert len(said) == ambiguous
+    assert all("first readings. The readings also fit other motions" in each for each in said)
 
 
 @pytest.mark.parametrize(("seed", "wide"), [(1, False), (13, True)])

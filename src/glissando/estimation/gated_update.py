@@ -29,11 +29,15 @@ _MOST = 5  # most steps of a solution, and readings that any update may refuse
 
 
 class GatedUpdate:
-    """Updates a window from a buffer of readings, each tested by an innovation gate."""
+    """Updates a window from a buffer of readings, each tested by an innovation gate.
+
+    Attributes:
+        doubt: Sentence on why covariances since the last start may be too small; else empty.
+    """
 
     def __init__(self, window: SlidingWindow, buffer: ReadingBuffer, gate: InnovationGate) -> None:
         self._window, self._buffer, self._gate = window, buffer, gate
-        self._missed, self._budget = np.inf, _SAVED
+        self._missed, self._budget, self.doubt = np.inf, _SAVED, ""
         self._contact_prior = under_touches(window.prior, window.arclength, _SUDDEN)
 
     def first_changed(self, earliest: float) -> int:
@@ -76,6 +80,7 @@ class GatedUpdate:
             fresh.clear()
             return False
         self._budget -= posterior.solve.iterations
+        self.doubt = posterior.solve.doubt
         window.restate(posterior.state)
         return True
 

@@ -36,6 +36,7 @@ class OnlineMonitor:
         self._reach = (_REACH * arclength + _AT_BASE * arclength[-1]) ** 2  # m²
         self._advances, self.beyond = 0, False
         self._reported_restarts = self._reported_reach = False
+        self._reported_start = ""  # sentence of the last start
         self._farthest = _UNIT * float(arclength[-1])
         self._reported_places: set[str] = set()  # streams
         self._added, self._reported_times = Counter[str](), set[str]()
@@ -67,6 +68,12 @@ class OnlineMonitor:
                 f"seconds, to advance(), as often as they come, or a longer window.",
                 EstimateWarning,
             )
+
+    def check_start(self, doubt: str) -> None:
+        """Check the sentence on which states the readings fit with which the window started."""
+        if doubt and doubt != self._reported_start:
+            _warn(f"The smoother has started from its first readings. {doubt}")
+        self._reported_start = doubt
 
     def check_state(self, newest: State, restarts: int) -> None:
         """Check the newest nodes (N,) and the number of restarts of the window."""
