@@ -209,12 +209,12 @@ def test_a_narrow_belief_spreads_as_its_own_covariance(rng):
         np.testing.assert_allclose(std, np.sqrt(np.diagonal(own[n, :18, n, :18])), rtol=1e-2)
 
 
-def test_the_spread_at_rest_is_that_of_shapes_drawn_from_the_prior():
+def test_the_spread_at_rest_is_that_of_motions_drawn_from_the_prior():
     smoother = FixedLagSmoother(drawn.PRIOR, drawn.GRID.arclength)
     found = smoother.advance(0.0)
     rng, errors = np.random.default_rng(5), []
     for _ in range(400):
-        shape = draw_motion(
+        pose, _, velocity = draw_motion(
             rng,
             drawn.GRID.arclength,
             [0.0],
@@ -223,12 +223,15 @@ def test_the_spread_at_rest_is_that_of_shapes_drawn_from_the_prior():
             base_strain_var=drawn.BASE.strain,
             time_scale=drawn.TIME_SCALE,
             rest_strain=drawn.PRIOR.rest_strain,
-        )[0][0]
-        errors.append(shape[:, :3, 3] - found.position)
+        )[:3]
+        moved = pose[0, :, :3, 3] - found.position
+        errors.append(np.hstack([moved, velocity[0] - found.velocity]))
+    seen = np.einsum("mni,mnj->nij", errors, errors) / len(errors)
     for n in range(1, len(found.position)):
-        seen = np.einsum("mi,mj->ij", *[np.array(errors)[:, n]] * 2) / len(errors)
-        ratio = np.linalg.eigvals(np.linalg.solve(found.cov_position_world[n], seen)).real
-        assert np.all((ratio > 0.75) & (ratio < 1.3))
+        stated = found.cov_position_world[n], found.cov[n, 12:15, 12:15], found.cov[n, 15:18, 15:18]
+        for cov, rows in zip(stated, (slice(0, 3), slice(3, 6), slice(6, 9)), strict=True):
+            ratio = np.linalg.eigvals(np.linalg.solve(cov, seen[n, rows, rows])).real
+            assert np.all((ratio > 0.75) & (ratio < 1.3))
 
 
 def errors_around_a_pause(rng, pause):

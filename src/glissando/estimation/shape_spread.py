@@ -3,7 +3,9 @@
 A linearised estimate moves poses along straight lines. A body with uncertain strains bends instead:
 its points stay within its length of the base, and rotations wrap around. Shapes are drawn from the
 estimate, built from the base outwards, and their second moments about the mean computed. Draws that
-would wind the body up are scaled down until its tip may merely point anywhere.
+would wind the body up are scaled down until its tip may merely point anywhere. Velocities are built
+from the base outwards as well: how fast a point moves, and in which of its own axes, depends on the
+shape before it.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from glissando.estimation.state_estimate import StateEstimate
 from glissando.geometry import se3
 from glissando.geometry.se3 import Array
 from glissando.model.priors.steps import static_steps
-from glissando.model.state import DOF, POSE, STRAIN, State
+from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State
 
 _WOUND = float(np.pi)  # rad: largest std of the tip's rotation; more would wind the body up
 
@@ -91,8 +93,8 @@ def tip_spread(state: State, cov: Array) -> tuple[float, float]:
 def shape_covariances(arclength: Array, state: State, cov: Array) -> Array:
     """Second moments of the nodes of a time, over shapes drawn from the linearised estimate.
 
-    Displacements and rotations are [R₀ᵀ(p − p₀), log(R₀ᵀR)]; strain and velocity are those of the
-    estimate. Where the covariance is small the second moments equal it.
+    Displacements and rotations are [R₀ᵀ(p − p₀), log(R₀ᵀR)]; strain is that of the estimate, and
+    velocity that of the shape. Where the covariance is small the second moments equal it.
 
     Args:
         arclength: Nodes (N,), m.
@@ -112,7 +114,8 @@ def shape_covariances(arclength: Array, state: State, cov: Array) -> Array:
     unturned = np.swapaxes(state.pose[:, :3, :3], -1, -2)
     error[..., :3] = np.einsum("nij,mnj->mni", unturned, pose[..., :3, 3] - state.pose[:, :3, 3])
     error[..., 3:6] = se3.so3_log(unturned @ pose[..., :3, :3])
-    error[..., 6:] = draws[..., 6:DOF]
+    error[..., STRAIN] = draws[..., STRAIN]
+    error[..., VELOCITY] = _velocities(state, pose, draws) - state.velocity
     moments = np.einsum("mni,mnj->nij", error, error) / len(error)
     drawn = np.einsum("mni,mni->ni", draws, draws)[:, :DOF] / len(draws)
     own = np.diagonal(cov).reshape(count, dof)[:, :DOF]
@@ -146,6 +149,28 @@ def _bent(arclength: Array, state: State, step: Array) -> Array:
         onward = se3.exp(h * strain[:, n]) @ se3.exp(slip[:, n])
         pose.append(_within(pose[-1] @ onward, pose[0], _STRETCH * arclength[n + 1]))
     return np.stack(pose, axis=1)
+
+
+def _velocities(state: State, pose: Array, step: Array) -> Array:
+    """Velocities (M, N, 6) of shapes with poses (M, N, 4, 4), after steps (M, N, dof) from a state.
+
+    Over an interval with relative pose X = exp(x), the velocity becomes Ad(X⁻¹) ϖ + r, where r is
+    the right Jacobian of x times the rate of x. The rates change with the step to first order;
+    velocities are built from them.
+    """
+    straight, bent = (se3.inverse(p[..., :-1, :, :]) @ p[..., 1:, :, :] for p in (state.pose, pose))
+    turn = se3.log(se3.inverse(straight) @ bent)
+    back, moved = se3.adjoint(se3.inverse(straight)), step[..., VELOCITY]
+    carried = np.einsum("nij,nj->ni", back, state.velocity[:-1])
+    more = moved[:, 1:] - np.einsum("nij,mnj->mni", back, moved[:, :-1])
+    more += np.einsum("mnij,nj->mni", se3.ad(turn), carried)
+    rate = np.einsum("nij,mnj->mni", se3.right_jacobian_inverse(se3.log(straight)), more)
+    own = np.einsum("mnij,mnj->mni", se3.right_jacobian(se3.log(bent)), rate)
+    own += state.velocity[1:] - carried
+    bent_back, velocity = se3.adjoint(se3.inverse(bent)), [state.velocity[0] + moved[:, 0]]
+    for n in range(own.shape[1]):
+        velocity.append(np.einsum("mij,mj->mi", bent_back[:, n], velocity[-1]) + own[:, n])
+    return np.stack(velocity, axis=1)
 
 
 def _within(pose: Array, base: Array, reach: float) -> Array:
