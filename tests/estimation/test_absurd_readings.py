@@ -5,8 +5,17 @@ from itertools import cycle
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
 
-from glissando import CoilReadings, PoseReadings, PositionReadings, load_robot
+from draws import generators, law
+from glissando import (
+    BaseVariance,
+    CoilReadings,
+    PoseReadings,
+    PositionReadings,
+    SeparablePrior,
+    load_robot,
+)
 from glissando.estimation import several_starts
 from glissando.estimation.bent_starts import bent_starts
 from glissando.estimation.fixed_lag import FixedLagSmoother
@@ -119,3 +128,23 @@ def test_a_robot_beyond_its_reach_is_said_to_be_so_once_and_does_not_fit(name):
             said += [str(each.message) for each in caught]
         assert smoother.fits == (not off)
         assert len([text for text in said if "beyond its reach" in text]) == bool(off)
+
+
+@settings(law, max_examples=3)
+@given(generators)
+def test_a_base_that_moves_as_far_as_stated_is_within_reach(rng):
+    """Beyond reach is counted from where the base may be, not from where it is expected."""
+    psd, std = np.array([1e-7] * 3 + [10.0, 10.0, 1.0]), rng.uniform(0.02, 0.1)
+    base = BaseVariance(np.array([std**2] * 3 + [1e-4] * 3), np.array([1e-7] * 3 + [10.0] * 3))
+    smoother = FixedLagSmoother(SeparablePrior(psd, 0.5, base), np.linspace(0.0, 0.3, 5))
+    way = rng.standard_normal(3)
+    way *= 2.5 * std / np.linalg.norm(way)
+    for now in np.arange(12) / 20.0:
+        for name, place in (("base", 0.0), ("tip", 0.3)):
+            pose = straight([place])
+            pose[0, :3, 3] += way * np.sin(3.0 * now)
+            smoother.add(
+                PoseReadings(time=[now], arclength=[place], values=pose, cov=1e-6, name=name)
+            )
+        smoother.advance(now)
+        assert smoother.fits

@@ -92,6 +92,7 @@ class FixedLagSmoother:
         """
         require_window(window)
         require_gate(gate)
+        time_rate = model.time_rate if isinstance(model, Robot) else 1.0
         prior, sensor_parameters = model_of(model, sensor_parameters)
         self.arclength = arclength_nodes(arclength)
         require_model(prior, self.arclength, sensor_parameters)
@@ -101,7 +102,7 @@ class FixedLagSmoother:
         self._late, others = delayed(sensor_parameters)
         self.lag = window = max(window, _DATED) if self._late else window
         self._steps = WindowSteps(self._window, window, gate)
-        self._monitor = OnlineMonitor(prior, self.arclength)
+        self._monitor = OnlineMonitor(prior, self.arclength, time_rate)
         self._errors: ErrorPrior | None = None  # of the window's first node, for contacts
         self._undelayed: WindowSteps | None = None  # of the motion that determines delays
         self._shown = prior.fixes_base

@@ -12,6 +12,7 @@ from glissando.errors import EstimateWarning, FalseConfidenceWarning
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.priors.prior import Prior
+from glissando.model.robot import base_std
 from glissando.model.sensors.readings import Readings
 from glissando.model.state import State
 
@@ -20,6 +21,7 @@ _UNIT = 20.0  # lengths of the robot: larger arclengths are in another unit
 _LOST, _MOST = 20, 0.9  # least number and share of a stream's readings out of time to warn of
 _BEGINNING = 6  # updates not checked: readings before the first lie before the window
 _REACH, _AT_BASE = 1.4, 0.1  # of arclength and of length: no robot stretches farther from the base
+_STDS = 4.0  # standard deviations of its position that a base may be away
 
 
 class OnlineMonitor:
@@ -29,11 +31,18 @@ class OnlineMonitor:
         beyond: Whether the newest state is beyond the robot's reach.
     """
 
-    def __init__(self, prior: Prior, arclength: Array) -> None:
-        """Begin without a warning."""
+    def __init__(self, prior: Prior, arclength: Array, time_rate: float = 1.0) -> None:
+        """Begin without a warning.
+
+        Args:
+            prior: Prior of the robot's motion.
+            arclength: Arclength nodes (N,), m.
+            time_rate: Time nodes a second, for a base of which a density is stated.
+        """
         rest = prior.rest_state(Grid(arclength, [0.0])).pose[0, 0, :3, 3]
         self._base, self._arclength = rest if prior.fixes_base else None, arclength
-        self._reach = (_REACH * arclength + _AT_BASE * arclength[-1]) ** 2  # m²
+        away = max(_AT_BASE * arclength[-1], _STDS * base_std(prior, time_rate))
+        self._reach = (_REACH * arclength + away) ** 2  # m²
         self._advances, self.beyond = 0, False
         self._reported_restarts = self._reported_reach = False
         self._reported_start = ""  # sentence of the last start

@@ -17,6 +17,7 @@ from glissando.model.mechanics import Mechanics
 from glissando.model.memory import require_memory
 from glissando.model.noise import Loss
 from glissando.model.priors.prior import Prior
+from glissando.model.priors.white_noise import BaseDensity
 from glissando.model.seconds import seconds
 from glissando.model.sensors.parameters import SensorParameter
 from glissando.model.sensors.readings import SENSORS, Readings
@@ -143,3 +144,16 @@ def _std(stated: FieldChecks, kind: str, given: ArrayLike) -> Array:
         raise stated.fail("sensor_std", f"of {kind} is {given!r}; give numbers above 0.")
     rows = SENSORS[kind].rows if kind in SENSORS else std.size
     return np.repeat(std, (3, rows - 3)) if std.size == 2 and rows in (5, 6) else std
+
+
+def base_std(prior: Prior, time_rate: float) -> float:
+    """Standard deviation of the position of a robot's base, m; 0 if not stated.
+
+    Args:
+        prior: Prior of the robot's motion.
+        time_rate: Time nodes a second, by which a density over time becomes a variance.
+    """
+    base = getattr(prior, "base", None)
+    var = getattr(prior, "var_base", np.zeros(3)) if base is None else base.pose
+    nodes = time_rate if isinstance(base, BaseDensity) else 1.0
+    return float(np.sqrt(nodes * np.sum(var[:3])))

@@ -15,8 +15,7 @@ from glissando.evaluation.plausibility.session import Streams, as_poses, weights
 from glissando.evaluation.plausibility.shape import largest_extension
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
-from glissando.model.priors.white_noise import BaseDensity
-from glissando.model.robot import Robot
+from glissando.model.robot import Robot, base_std
 from glissando.model.sensors.readings import Readings
 
 _SLACK = 0.15  # tolerance of the reach over the robot's length
@@ -91,21 +90,13 @@ def out_of_reach(robot: Robot, r: Readings) -> NDArray[np.bool_]:
     none = np.zeros(len(r), dtype=bool)
     if not len(r) or not r.tracker or weights(r)[0] == 0.0 or not robot.prior.fixes_base:
         return none
-    slack = max(_SLACK * robot.length, 3.0 * _base_std(robot))
+    slack = max(_SLACK * robot.length, 3.0 * base_std(robot.prior, robot.time_rate))
     for p in robot.sensor_parameters:
         if p.kind == "frame" and r.name in p.streams:
             slack += 3.0 * float(np.linalg.norm(p.std[:3]) + robot.length * p.std[3:].max())
     reach = r.arclength * (1.0 + 3.0 * largest_extension(robot)) + slack
     beyond = ~(distance_from_base(robot, r) <= reach)
     return beyond if beyond.mean() <= _FEW else none
-
-
-def _base_std(robot: Robot) -> float:
-    """Standard deviation of the position of the robot's base, m; 0 if not stated."""
-    base = getattr(robot.prior, "base", None)
-    var = getattr(robot.prior, "var_base", np.zeros(3)) if base is None else base.pose
-    nodes = robot.time_rate if isinstance(base, BaseDensity) else 1.0  # a density over time
-    return float(np.sqrt(nodes * np.sum(var[:3])))
 
 
 def distance_from_base(robot: Robot, r: Readings) -> Array:
