@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from glissando.visualization.canvas import canvas, gif_rate, line_colours
+from glissando.visualization.canvas import (
+    canvas,
+    gif_rate,
+    legend,
+    legend_entries,
+    line_colours,
+    shown_name,
+)
 
 
 @pytest.mark.slow
@@ -36,3 +43,30 @@ def test_as_many_lines_as_there_are_have_colours_that_show_and_differ(count):
     colours = np.array([to_rgb(colour) for colour in line_colours(count)])
     assert len(np.unique(colours.round(3), axis=0)) == len(colours) == count
     assert np.all(colours.min(axis=1) < 0.9)  # white is the paper
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_legend_shows_every_name_as_it_is_and_within_the_figure(seed):
+    rng = np.random.default_rng(seed)
+    letters = np.array(list("ab_$^{}& <>"))
+    names = ["_x", "coil $x^$", "$$", *("".join(rng.choice(letters, 30)) for _ in range(5))]
+    with canvas(8.0, 4.0) as figure:
+        axes = figure.subplots()
+        for name in names:
+            axes.plot([0.0, 1.0], label=shown_name(name))
+        legend(figure, legend_entries(axes), loc="outside upper center", ncols=5)
+        figure.draw_without_rendering()
+        (drawn,) = figure.legends
+        extent = drawn.get_window_extent()
+        assert extent.x0 >= 0.0
+        assert extent.x1 <= figure.bbox.width
+        assert len(drawn.texts) == len(names)
+        for name, text in zip(names, drawn.texts, strict=True):
+            assert text._preprocess_math(text.get_text())[0].strip() == name.strip()
+
+
+def test_a_name_that_is_too_long_keeps_its_ends():
+    shown = shown_name("left" * 30 + "right" * 30)
+    assert shown.startswith("left")
+    assert shown.endswith("right")
+    assert len(shown) <= 41

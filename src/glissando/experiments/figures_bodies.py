@@ -280,5 +280,5 @@ def _explain_bodies(figure: Any) -> None:
         "95 % of positions": Patch(color="0.5", alpha=0.45, linewidth=0),
         "motion capture: x, y, z": tuple(Line2D([], [], lw=2, c=c) for c in AXES.values()),
     }
-    look = {"ncols": len(entries), "columnspacing": 1.5, "handletextpad": 0.5}
+    look: dict[str, Any] = {"ncols": len(entries), "columnspacing": 1.5, "handletextpad": 0.5}
     legend(figure, entries, loc="upper center", **look)

@@ -30,6 +30,7 @@ BAND = float(np.sqrt(chi_square_quantile(0.95, 1)))
 AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}  # Okabe and Ito: safe for colour blindness
 SENSORS = ("#E69F00", "#56B4E9", "#FFFFFF", "#CC79A7", "#D55E00", "#000000", "#F0E442", "#009E73")
 MARKERS = "osD^vP*X"
+_LONGEST_NAME = 40  # characters of a name in a figure
 _STYLE: dict[Any, Any] = {
     "font.size": 11,
     "axes.titlesize": 11,
@@ -125,9 +126,36 @@ def legend_entries(axes: Any) -> dict[str, Any]:
     return dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
 
 
-def legend(figure: Figure, entries: dict[str, Any], **look: Any) -> None:
-    """Draw a legend outside the axes, in which a tuple of lines is one entry."""
-    figure.legend(list(entries.values()), list(entries), handler_map=_tuples(), **look)
+def legend(figure: Any, entries: dict[str, Any], *, ncols: int = 1, **look: Any) -> None:
+    """Draw a legend outside the axes, in which a tuple of lines is one entry.
+
+    Args:
+        figure: Figure or subfigure.
+        entries: What is drawn for each label.
+        ncols: Number of columns; there are fewer if these are wider than the figure.
+        look: Further options of matplotlib's legend.
+    """
+    renderer = figure.get_figure(root=True).canvas.get_renderer()
+    for columns in range(max(ncols, 1), 0, -1):
+        options = {"handler_map": _tuples(), "ncols": columns, **look}
+        drawn = figure.legend(list(entries.values()), list(entries), **options)
+        if columns == 1 or drawn.get_window_extent(renderer).width <= figure.bbox.width:
+            return
+        drawn.remove()
+
+
+def shown_name(name: str) -> str:
+    r"""A name from a file as a figure shows it: as it is, shortened in the middle if it is long.
+
+    matplotlib would typeset what is between dollars and hide labels that begin with an underscore.
+
+    >>> print(shown_name("_$1$"), shown_name("a" * 50 + "b" * 50))
+     _\$1\$ aaaaaaaaaaaaaaaaaaaa…bbbbbbbbbbbbbbbbbbbb
+    """
+    if len(name) > _LONGEST_NAME:
+        half = _LONGEST_NAME // 2
+        name = f"{name[:half]}…{name[-half:]}"
+    return f"{' ' * name.startswith('_')}{name}".replace("$", r"\$")
 
 
 def _tuples() -> dict[Any, Any]:

@@ -13,7 +13,14 @@ from glissando.evaluation.replay import Replay
 from glissando.evaluation.simulation_based import SimulationCheck, bands, rank_points
 from glissando.geometry.se3 import Array
 from glissando.model.quantiles import chi_square_quantile
-from glissando.visualization.canvas import SENSORS, legend, legend_entries, line_colours, panels_on
+from glissando.visualization.canvas import (
+    SENSORS,
+    legend,
+    legend_entries,
+    line_colours,
+    panels_on,
+    shown_name,
+)
 
 
 def calibration_figure(checks: Sequence[Consistency]) -> Any:
@@ -62,7 +69,9 @@ def _draw(axes: Any, checks: Sequence[Consistency]) -> None:
         last = c is whole and len(checks) > 1
         colour = "black" if last else own
         width = 2.8 if last else 1.3
-        axes.plot(100 * level, 100 * inside, color=colour, linewidth=width, label=c.site)
+        axes.plot(
+            100 * level, 100 * inside, color=colour, linewidth=width, label=shown_name(c.site)
+        )
 
 
 def ecdf_figure(checks: Sequence[SimulationCheck]) -> Any:
@@ -136,11 +145,11 @@ def _draw_newest(axes: Any, run: Replay) -> None:
     colours = line_colours(len(run.newest))
     for errors, colour in zip(run.newest, colours, strict=True):
         look = {"color": colour, "markersize": 3, "alpha": 0.6}
-        axes.plot(errors.time, 1e3 * errors.position, ".", **look, label=errors.name)
+        axes.plot(errors.time, 1e3 * errors.position, ".", **look, label=shown_name(errors.name))
         shown.append(1e3 * errors.position)
     top = 1.1 * float(np.nanquantile(np.concatenate([s.ravel() for s in shown]), 0.99))
     axes.set(xlabel="time (s)", ylabel="position error (mm)", ylim=(0, top or None))
-    axes.legend(ncols=4, fontsize="small", loc="upper left")
+    legend(axes.figure, legend_entries(axes), loc="outside upper center", ncols=4)
 
 
 def radius95(cov: Array) -> Array:

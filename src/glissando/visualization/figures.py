@@ -32,6 +32,7 @@ from glissando.visualization.canvas import (
     legend_entries,
     panels_on,
     save_figure,
+    shown_name,
 )
 from glissando.visualization.sampling import drawn_at
 from glissando.visualization.shape_figure import shape_figure
@@ -111,7 +112,7 @@ def _draw_path(axes: Any, stream: Readings, order: int, count: int) -> None:
     colour, marker = SENSORS[order % len(SENSORS)], MARKERS[order % len(MARKERS)]
     look = {"mfc": colour, "mec": "black", "mew": 0.8, "ms": 7.5, "clip_on": False, "zorder": 5}
     axes.plot(time[thin], arclength[thin], color="white", lw=1.0, alpha=0.7)
-    axes.plot(time[at], arclength[at], marker, **look, label=stream.label)
+    axes.plot(time[at], arclength[at], marker, **look, label=shown_name(stream.label))
 
 
 def error_figure(
@@ -150,7 +151,8 @@ def error_figure(
         for row, site in zip(table, sites, strict=True):
             _draw_errors(row, posterior, site)
         for name, top, bottom in zip(AXES, table[0], table[-1], strict=True):
-            top.set_title(name, loc="right", fontweight="bold", fontsize=13)
+            heading = f"{name}\n"  # above the site's title, which may be long
+            top.set_title(heading, loc="right", fontweight="bold", fontsize=13)
             bottom.set_xlabel("time (s)")
         drawn = [axes.get_legend_handles_labels()[0] for axes in table[0]]
         entries = {"95 %": drawn[0][0], "estimate − truth": tuple(keys[1] for keys in drawn)}
@@ -185,7 +187,8 @@ def _draw_errors(row: Sequence[Any], posterior: Posterior, site: Readings) -> No
     few = "" if len(drawn) == len(site) else f" ({len(drawn)} of {len(site)} samples)"
     rmse = np.sqrt(np.mean(np.sum(error**2, axis=1)))
     ends = dict.fromkeys(f"{s:.4g}" for s in MM * np.sort(site.arclength)[[0, -1]])
-    row[0].set_title(f"{site.label}, {' to '.join(ends)} mm: RMSE {rmse:.2f} mm{few}", loc="left")
+    where = f"{shown_name(site.label)}, {' to '.join(ends)} mm"
+    row[0].set_title(f"{where}: RMSE {rmse:.2f} mm{few}", loc="left")
     row[0].set_ylabel("error (mm)")
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from glissando.visualization.canvas import panels_on
+from glissando.visualization.canvas import panels_on, shown_name
 
 _UNITS = {"at": "m", "stroke": "m", "speed": "m/s", "duration": "s", "time_rate": "1/s"}
 _COLOUR = "#0072B2"
@@ -27,7 +27,9 @@ def study_figure(summary: dict[str, Any]) -> Any:
     axes: dict[str, Any] = summary["axes"]
     size = 1.2 + 3.2 * len(axes), 5.6
     with panels_on(None, (2, len(axes)), size, sharex="col", sharey="row") as panels:
-        panels[0, 0].figure.suptitle(summary["name"], x=0.02, ha="left", fontweight="bold")
+        panels[0, 0].figure.suptitle(
+            shown_name(summary["name"]), x=0.02, ha="left", fontweight="bold"
+        )
         for column, (name, points) in enumerate(axes.items()):
             upper, lower = panels[:, column]
             succeeded = [p for p in points if "position_rmse" in p]
@@ -46,7 +48,7 @@ def _places(axes: Any, values: list[Any]) -> list[float]:
     """Abscissas of values: numbers as they are, others side by side with ticks of their names."""
     if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
         return [float(v) for v in values]
-    axes.set_xticks(range(len(values)), [str(v) for v in values])
+    axes.set_xticks(range(len(values)), [shown_name(str(v)) for v in values])
     axes.set_xlim(-0.5, len(values) - 0.5)
     return [float(i) for i in range(len(values))]
 

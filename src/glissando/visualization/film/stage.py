@@ -11,7 +11,7 @@ import numpy as np
 
 from glissando.geometry.se3 import Array
 from glissando.visualization.arrows import FORCE
-from glissando.visualization.canvas import AXES, MARKERS, SENSORS, legend
+from glissando.visualization.canvas import AXES, MARKERS, SENSORS, legend, shown_name
 from glissando.visualization.film.frames import Frames
 from glissando.visualization.shape_figure import frame_axes
 
@@ -129,7 +129,9 @@ class Stage:
         from matplotlib.patches import Patch
 
         named = zip(self.frames.sensors, self.looks, strict=True)
-        entries: dict[str, Any] = {label: Line2D([], [], ms=11, **look) for label, look in named}
+        entries: dict[str, Any] = {
+            shown_name(label): Line2D([], [], ms=11, **look) for label, look in named
+        }
         entries["95 % of positions"] = Patch(color=self.colours(0.5), alpha=0.6, linewidth=0)
         if self.frames.forces:
             entries[self.frames.forces] = Line2D([], [], color=FORCE, lw=2.0)
@@ -137,7 +139,7 @@ class Stage:
             entries["truth: x, y, z"] = tuple(Line2D([], [], lw=2, c=c) for c in AXES.values())
         if self.frames.point.size:
             entries["truth"] = Line2D([], [], color="black", marker="o", ms=5, ls="none")
-        place = {
+        place: dict[str, Any] = {
             "loc": "upper left",
             "bbox_to_anchor": (0.01, 1.0),
             "ncols": len(entries) if len(entries) < 5 else 3,
