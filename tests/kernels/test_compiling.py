@@ -59,6 +59,24 @@ def test_a_home_that_cannot_be_written_to_does_not_matter(tmp_path, home):
     assert run.stdout == "1.0\n"
 
 
+@pytest.mark.slow
+def test_a_full_disk_does_not_matter(tmp_path):
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"
+    environment = {**os.environ, "GLISSANDO_CACHE": str(tmp_path)}
+    for code, saved in ((limit + SMALL, False), (SMALL, True)):
+        run = subprocess.run(
+            [sys.executable, "-c", code],
+            env=environment,
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        assert run.stdout == "1.0\n"
+        (folder,) = tmp_path.glob("kernels-*")
+        assert ("matern.transition" in jit._on_disk(folder)) == saved
+        assert ("matern.transition" in (folder / "compiled").read_text()) == saved
+
+
 def test_processes_that_compile_know_the_kernels_of_every_module():
     """One that they do not know is compiled by whoever calls it, alone and one after another."""
     code = (

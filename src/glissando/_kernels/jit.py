@@ -169,6 +169,8 @@ def _dispatchers() -> Path:
             options |= {"error_model": "numpy", "forceinline": kernel.inline}
             options["cache"] = bool(kernel.signatures)  # processes would overwrite what they share
             kernel.compiled = numba.njit(**options)(kernel.function)
+            if kernel.signatures:
+                _save_if_possible(kernel.compiled)
     finally:
         config.CACHE_DIR = before
     for kernel in kernels:
@@ -176,6 +178,18 @@ def _dispatchers() -> Path:
             if isinstance(value, (External, StackArray)):
                 kernel.function.__globals__[name] = value.compiled
     return folder
+
+
+def _save_if_possible(compiled: Any) -> None:
+    """Let a kernel run although its code cannot be saved, as on a full disk."""
+    cache = compiled._cache
+    save = cache.save_overload
+
+    def save_overload(*code: Any) -> None:
+        with suppress(OSError):
+            save(*code)
+
+    cache.save_overload = save_overload
 
 
 def _compile_once(kernels: list[Kernel], folder: Path) -> None:
@@ -202,15 +216,17 @@ def _compile_once(kernels: list[Kernel], folder: Path) -> None:
             for kernel in kernels:  # if no process could
                 if kernel.file not in done:
                     kernel.compile()
+            saved = _on_disk(folder)
+            names = [k.name for k in kernels if k.name in missing and k.file in saved]
             with suppress(OSError), (folder / "compiled").open("a", encoding="utf-8") as file:
-                file.write("".join(f"{name}\n" for name in missing))
+                file.write("".join(f"{name}\n" for name in names))
     finally:
         over.set()
 
 
 def _on_disk(folder: Path) -> set[str]:
     """Prefixes of the cache files of compiled kernels."""
-    return {path.name.partition("-")[0] for path in folder.rglob("*.nbi")}
+    return {path.name.partition("-")[0] for path in folder.rglob("*.nbc")}  # not its index, .nbi
 
 
 def _missing(kernels: list[Kernel], folder: Path) -> list[str]:
