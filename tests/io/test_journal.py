@@ -1,7 +1,10 @@
 """A journal goes on where it ended, and one stream is readings of one kind."""
 
+import subprocess
+import sys
 from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -92,3 +95,41 @@ def test_noise_or_a_mount_that_changes_is_refused_as_one_of_each_is_kept(tmp_pat
                 journal.write(changed)
         journal.write(pose(1.0))
     assert load_recording(tmp_path / "log").streams["tip"].rows.time.tolist() == [0.0, 1.0]
+
+
+FULL = """
+import resource, sys
+import numpy as np
+from glissando.errors import GlissandoError
+from glissando.io.journal import Journal
+from glissando.model.sensors.sensors import PositionReadings
+
+def at(time, name):
+    where = {"time": np.array([time]), "arclength": np.zeros(1), "values": np.zeros((1, 3))}
+    return PositionReadings(**where, cov=np.ones(3), name=name)
+
+journal = Journal(sys.argv[1])
+journal.write(at(0.0, "other"))
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
+try:
+    with journal:
+        for k in range(10_000):
+            journal.write(at(0.1 * k, "tip"))
+except GlissandoError as problem:
+    print(problem)
+Journal(sys.argv[1])  # nothing is locked
+"""
+
+
+@pytest.mark.parametrize("size", [4_001, 9_999])
+def test_a_disk_that_is_full_is_one_sentence_and_what_came_before_is_kept(tmp_path, size):
+    folder = tmp_path / "log"
+    command = [sys.executable, "-c", FULL, str(folder), str(size)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert not done.stderr
+    assert f"{folder} cannot be written to (File too large)" in done.stdout
+    kept = load_recording(folder).streams
+    time = kept["tip"].rows.time
+    np.testing.assert_allclose(time, 0.1 * np.arange(time.size), atol=1e-12)
+    assert Path(folder, "tip.csv").stat().st_size > size - 60
+    assert kept["other"].rows.time.tolist() == [0.0]

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO, Self
@@ -84,6 +86,7 @@ class Journal:
         Raises:
             SensorError: The sensor declares no kind or another one than the stream, the noise or
                 the mount differs between readings, or the noise is correlated.
+            RecordingError: Writing to disk failed; readings written before are kept.
         """
         if not readings.kind:
             raise SensorError(
@@ -107,29 +110,51 @@ class Journal:
                 f"{readings.label}: its noise or mount is not that of the readings before, "
                 f"which stands in recording.toml; give these readings a name of their own."
             )
-        file = self._files.get(readings.label) or self._open_stream(readings, rows)
         table = rows.table()
         lines = (",".join(map(repr, row)) for row in table.tolist())
-        file.write(("\n".join(lines) + "\n" if len(table) else "").encode())
-        file.flush()
+        with self._telling_what_failed():
+            file = self._files.get(readings.label) or self._open_stream(readings, rows)
+            file.write(("\n".join(lines) + "\n" if len(table) else "").encode())
+            file.flush()
         if time.monotonic() - self._synced > _SYNC:
             self.sync()
 
     def sync(self) -> None:
-        """Flush all files to disk and wait until that is done."""
-        for file in self._files.values():
-            os.fsync(file.fileno())
+        """Flush all files to disk and wait until that is done.
+
+        Raises:
+            RecordingError: Writing to disk failed.
+        """
+        with self._telling_what_failed():
+            for file in self._files.values():
+                os.fsync(file.fileno())
         self._synced = time.monotonic()
 
     def close(self) -> None:
-        """Flush everything and close the files."""
+        """Flush everything and close the files.
+
+        Raises:
+            RecordingError: Writing to disk failed.
+        """
         try:
             self.sync()
         finally:
             for file in self._files.values():
-                file.close()
+                with suppress(OSError):  # of rows that `write` refused
+                    file.close()
             self._files = {}
             self._unlock()
+
+    @contextmanager
+    def _telling_what_failed(self) -> Iterator[None]:
+        """Turn an error of the system into one that names the folder."""
+        try:
+            yield
+        except OSError as problem:
+            raise RecordingError(
+                f"{self.folder} cannot be written to ({problem.strerror or problem}); make room. "
+                f"What came before is kept."
+            ) from None
 
     def _unlock(self) -> None:
         """Let other programs write to the folder."""
