@@ -248,3 +248,20 @@ def test_an_unwritable_folder_is_said_in_a_sentence(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.mkdtemp", refuse)
     with pytest.raises(GlissandoError, match=r"cannot be written \(Read-only file system\)"):
         write_text(tmp_path / "a.txt", "words")
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_a_file_of_results_that_cannot_be_written_is_named_where_it_was_to_be(tmp_path, there):
+    if there:
+        (tmp_path / "report.json").write_text("before")
+
+    def fail():
+        with renewed_folder(tmp_path, ["report.json"]) as folder, new_file(folder / "report.json"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(GlissandoError) as told:
+        fail()
+    kept = "; what was there is as it was" if there else ""
+    named = f"{tmp_path / 'report.json'} cannot be written (No space left on device){kept}."
+    assert str(told.value).startswith(named)
+    assert [p.name for p in tmp_path.iterdir()] == ["report.json"] * there

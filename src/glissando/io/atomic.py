@@ -16,6 +16,8 @@ import numpy as np
 from glissando.errors import GlissandoError
 from glissando.geometry.se3 import Array
 
+_BUILDING = ".writing-"  # first letters of a temporary folder's name
+
 
 @contextmanager
 def new_file(path: str | Path) -> Iterator[Path]:
@@ -41,7 +43,7 @@ def new_file(path: str | Path) -> Iterator[Path]:
         target = Path(os.path.realpath(path))  # a link stays one
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(
-            prefix=".writing-", dir=target.parent, ignore_cleanup_errors=True
+            prefix=_BUILDING, dir=target.parent, ignore_cleanup_errors=True
         ) as folder:
             building = Path(folder, target.name)
             yield building
@@ -50,9 +52,12 @@ def new_file(path: str | Path) -> Iterator[Path]:
             building.replace(target)
     except OSError as problem:
         reason = problem.strerror or str(problem)
-        unharmed = "; what was there is as it was" if path.exists() else ""
+        shown = path  # in a folder that is being built, of which the user knows nothing
+        if path.parent.name.startswith(_BUILDING):
+            shown = path.parent.parent / path.name
+        unharmed = "; what was there is as it was" if shown.exists() else ""
         raise GlissandoError(
-            f"{path} cannot be written ({reason}){unharmed}. Free space, or give another name."
+            f"{shown} cannot be written ({reason}){unharmed}. Free space, or give another name."
         ) from problem
 
 
@@ -149,7 +154,7 @@ def renewed_folder(folder: Path, owned: Collection[str]) -> Iterator[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(
-            prefix=".writing-", dir=folder, ignore_cleanup_errors=True
+            prefix=_BUILDING, dir=folder, ignore_cleanup_errors=True
         ) as building:
             yield Path(building)
             for name in owned:
