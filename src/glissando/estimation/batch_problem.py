@@ -78,7 +78,7 @@ class BatchProblem:
         if not all(rows.all() for rows in used):
             locate(self.grid, self.readings, self.sensor_parameters)  # checks spikes, too
         with self.explained():
-            (end, doubt), known = self.best_end(used, start), None
+            (end, ambiguity), known = self.best_end(used, start), None
             if self.gate is not None:
                 first, (end, known, used) = used, self.solve_without_refuted(end, used, self.gate)
                 if not all(rows.all() for rows in used):
@@ -87,7 +87,8 @@ class BatchProblem:
             seen = self.dated(seen) if self.dates else seen
             posterior = self.known_by(seen) if known is None or seen is not end else known
         report = posterior.solve
-        report = replace(report, refused=self.left_out(used), doubt=report.doubt or doubt)
+        doubt = report.doubt or ambiguity
+        report = replace(report, refused=self.left_out(used), doubt=doubt, ambiguity=ambiguity)
         return replace(posterior, solve=report)
 
     @contextmanager

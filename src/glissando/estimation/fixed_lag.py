@@ -164,7 +164,7 @@ class FixedLagSmoother:
                 if self._shown:
                     self._undelayed.advance(time)
             self._steps.advance(time)
-            self._monitor.check_start(self._steps.update.doubt)
+            self._monitor.check_start(self._steps.update.ambiguity)
             self._monitor.check_state(self._window.nodes.newest[0], self._steps.restarts)
             self._monitor.check_times(self.dropped)
             if self._steps.behind:

@@ -32,12 +32,12 @@ class GatedUpdate:
     """Updates a window from a buffer of readings, each tested by an innovation gate.
 
     Attributes:
-        doubt: Sentence on why covariances since the last start may be too small; else empty.
+        ambiguity: Sentence on other motions that the readings of the last start fit, if probable.
     """
 
     def __init__(self, window: SlidingWindow, buffer: ReadingBuffer, gate: InnovationGate) -> None:
         self._window, self._buffer, self._gate = window, buffer, gate
-        self._missed, self._budget, self.doubt = np.inf, _SAVED, ""
+        self._missed, self._budget, self.ambiguity = np.inf, _SAVED, ""
         self._contact_prior = under_touches(window.prior, window.arclength, _SUDDEN)
 
     def first_changed(self, earliest: float) -> int:
@@ -80,7 +80,7 @@ class GatedUpdate:
             fresh.clear()
             return False
         self._budget -= posterior.solve.iterations
-        self.doubt = posterior.solve.doubt
+        self.ambiguity = posterior.solve.ambiguity
         window.restate(posterior.state)
         return True
 

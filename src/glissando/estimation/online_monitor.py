@@ -78,11 +78,11 @@ class OnlineMonitor:
                 EstimateWarning,
             )
 
-    def check_start(self, doubt: str) -> None:
-        """Check the sentence on which states the readings fit with which the window started."""
-        if doubt and doubt != self._reported_start:
-            _warn(f"The smoother has started from its first readings. {doubt}")
-        self._reported_start = doubt
+    def check_start(self, ambiguity: str) -> None:
+        """Check the sentence on other motions that the readings of the window's start fit."""
+        if ambiguity and ambiguity != self._reported_start:
+            _warn(f"The smoother has started from its first readings. {ambiguity}")
+        self._reported_start = ambiguity
 
     def check_state(self, newest: State, restarts: int) -> None:
         """Check the newest nodes (N,) and the number of restarts of the window."""

@@ -3,9 +3,9 @@
 A linearised estimate moves poses along straight lines. A body with uncertain strains bends instead:
 its points stay within its length of the base, and rotations wrap around. Shapes are drawn from the
 estimate, built from the base outwards, and their second moments about the mean computed. Draws that
-would wind the body up are scaled down until its tip may merely point anywhere. Velocities are built
-from the base outwards as well: how fast a point moves, and in which of its own axes, depends on the
-shape before it.
+would wind the body up are scaled down, for each node until it may merely point anywhere. Velocities
+are built from the base outwards as well: how fast a point moves, and in which of its own axes,
+depends on the shape before it.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ from glissando.geometry.se3 import Array
 from glissando.model.priors.steps import static_steps
 from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State
 
-_WOUND = float(np.pi)  # rad: largest std of the tip's rotation; more would wind the body up
-
+_WOUND = float(np.pi)  # rad: largest std of a node's rotation; more would wind the body up
 _STRETCH = 1.1  # times its length: farthest reach of a body
 _PAIRS = 256  # pairs of antithetic draws
 _UNMOVED = np.eye(4)
@@ -108,19 +107,29 @@ def shape_covariances(arclength: Array, state: State, cov: Array) -> Array:
     cov = cov[: count * dof, : count * dof]
     draws = _draws(count * dof) @ np.linalg.cholesky(cov).T
     draws = np.concatenate([draws, -draws]).reshape(-1, count, dof)
-    turn = np.sqrt(np.diagonal(cov)[(count - 1) * dof + 3 : (count - 1) * dof + 6].sum())
-    pose = _bent(arclength, state, min(1.0, _WOUND / turn) * draws)
-    error = np.empty((*draws.shape[:2], DOF))
+    own = np.diagonal(cov).reshape(count, dof)
+    turn = np.sqrt(own[:, POSE][:, 3:].sum(axis=1))
+    share, error = min(1.0, _WOUND / turn[-1]), np.empty((*draws.shape[:2], DOF))
+    error[:] = _errors(arclength, state, share, draws)
+    while share < 1.0:  # twice as many nodes, from the base on, as turn half as far
+        share = min(1.0, 2.0 * share)
+        inner = slice(int(np.argmax(np.append(share * turn, np.inf) > _WOUND)))
+        error[:, inner] = _errors(arclength[inner], state.take(inner), share, draws[:, inner])
+    moments = np.einsum("mni,mnj->nij", error, error) / len(error)
+    drawn = np.einsum("mni,mni->ni", draws, draws)[:, :DOF] / len(draws)
+    scale = np.sqrt(own[:, :DOF] / drawn)  # removes the sampling error where all is linear
+    return scale[:, :, None] * moments * scale[:, None, :]
+
+
+def _errors(arclength: Array, state: State, share: float, draws: Array) -> Array:
+    """Errors (M, N, 18) of a state whose poses err by a share of the steps (M, N, dof) drawn."""
+    error, pose = np.empty((*draws.shape[:2], DOF)), _bent(arclength, state, share * draws)
     unturned = np.swapaxes(state.pose[:, :3, :3], -1, -2)
     error[..., :3] = np.einsum("nij,mnj->mni", unturned, pose[..., :3, 3] - state.pose[:, :3, 3])
     error[..., 3:6] = se3.so3_log(unturned @ pose[..., :3, :3])
     error[..., STRAIN] = draws[..., STRAIN]
     error[..., VELOCITY] = _velocities(state, pose, draws) - state.velocity
-    moments = np.einsum("mni,mnj->nij", error, error) / len(error)
-    drawn = np.einsum("mni,mni->ni", draws, draws)[:, :DOF] / len(draws)
-    own = np.diagonal(cov).reshape(count, dof)[:, :DOF]
-    scale = np.sqrt(own / drawn)  # removes the sampling error of variances where all is linear
-    return scale[:, :, None] * moments * scale[:, None, :]
+    return error
 
 
 @lru_cache(maxsize=4)

@@ -29,6 +29,7 @@ class SolveReport:
         worst: If the estimate did not converge, the readings with the largest residuals.
         doubt: Sentence on why covariances are too small, if many readings contradict the estimate
             or other motions are probable.
+        ambiguity: Sentence on other motions that the readings fit, if these are probable.
     """
 
     outcome: Outcome
@@ -42,6 +43,7 @@ class SolveReport:
     refused: dict[str, list[int]] = field(default_factory=dict)
     worst: str = ""
     doubt: str = ""
+    ambiguity: str = ""
 
     @property
     def converged(self) -> bool:

@@ -25,6 +25,7 @@ from glissando.estimation.shape_spread import ShapeSpread, shape_covariances, ti
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.estimation.state_estimate import StateEstimate
 from glissando.estimation.window_parameters import NotLinearError
+from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid
 from glissando.model.seconds import seconds
 from glissando.model.sensors.readings import Readings
@@ -61,6 +62,7 @@ class WindowSteps:
         self._requested = -np.inf
         self._started = self._explained = False
         self._oldest, self._pause = -np.inf, ReadingPause()
+        self._cov_at_rest: Array | None = None  # of the newest nodes, as it stays the same
 
     @property
     def time(self) -> float | None:
@@ -193,7 +195,8 @@ class WindowSteps:
     def _rest(self, time: float) -> None:
         """Begin again with a single node at rest."""
         window = self.window
-        window.lone = self._pause.lone
+        if window.lone != self._pause.lone:
+            window.lone, self._cov_at_rest = self._pause.lone, None
         self._started = False
         self._pause.begin_at_rest()
         first = window.prior.fixes_base and not self._pause.has_rest
@@ -235,7 +238,10 @@ class WindowSteps:
         linear = self.window.newest_nodes()
         if not self.curved:
             return linear
-        cov = shape_covariances(self.window.arclength, *self.window.newest())
+        cov = self._cov_at_rest if self.resting else None
+        if cov is None:
+            cov = shape_covariances(self.window.arclength, *self.window.newest())
+            self._cov_at_rest = cov if self.resting else self._cov_at_rest
         return ShapeSpread(linear.pose, linear.strain, linear.velocity, cov)
 
     def _arrive(self) -> tuple[Counter[str], float]:
