@@ -18,6 +18,7 @@ from glissando import (
 from glissando.errors import FalseConfidenceWarning, OutsideGridError
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.estimation.shape_spread import shape_covariances
+from glissando.evaluation.prior_predictive import PriorPredictive
 from glissando.geometry import se3
 from glissando.io.shipped_robots import shipped_robots
 from glissando.model.grid import Grid
@@ -232,6 +233,38 @@ def test_the_spread_at_rest_is_that_of_motions_drawn_from_the_prior():
         for cov, rows in zip(stated, (slice(0, 3), slice(3, 6), slice(6, 9)), strict=True):
             ratio = np.linalg.eigvals(np.linalg.solve(cov, seen[n, rows, rows])).real
             assert np.all((ratio > 0.75) & (ratio < 1.3))
+
+
+def test_the_spread_of_nodes_that_turn_by_less_than_half_a_turn_is_that_of_the_prior():
+    """The tip turns by 5 rad (RMS). The middle's squared error was twice what was stated."""
+    robot = load_robot("tdcr466-segments")
+    found = FixedLagSmoother(robot.prior, robot.arclength_nodes).advance(0.0)
+    grid = Grid(robot.arclength_nodes, [0.0])
+    blank = PoseReadings(time=[0.0], arclength=[0.0], values=np.eye(4)[None], cov=1e-6)
+    predictive = PriorPredictive(robot, grid, [blank])
+    rows = np.abs(predictive.fine.arclength[:, None] - grid.arclength).argmin(axis=0)
+    draws = [
+        predictive.draw(np.random.default_rng([1, k])).truth.take((0, rows)) for k in range(400)
+    ]
+    off = np.array([d.pose[:, :3, 3] for d in draws]) - found.position
+    for n in (1, 2):
+        squares = np.einsum(
+            "mi,ij,mj->m", off[:, n], np.linalg.inv(found.cov_position_world[n]), off[:, n]
+        )
+        assert 0.8 < squares.mean() / 3.0 < 1.25
+
+
+@pytest.mark.parametrize("name", shipped_robots())
+def test_the_base_at_rest_is_as_sure_as_its_file_states_at_any_time(name):
+    """The share by which a tip is kept from winding up made the base as much surer."""
+    robot = load_robot(name)
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+    for now in np.arange(3.0) * STEP:
+        smoother.advance(now)
+        state, cov, _ = smoother.newest_node()
+        found = smoother.newest().cov
+        np.testing.assert_allclose(np.diagonal(found[0])[:6], np.diagonal(cov)[:6], rtol=2e-2)
+        np.testing.assert_array_equal(found, shape_covariances(robot.arclength_nodes, state, cov))
 
 
 def errors_around_a_pause(rng, pause):

@@ -115,7 +115,7 @@ def shape_covariances(arclength: Array, state: State, cov: Array) -> Array:
         share = min(1.0, 2.0 * share)
         inner = slice(int(np.argmax(np.append(share * turn, np.inf) > _WOUND)))
         error[:, inner] = _errors(arclength[inner], state.take(inner), share, draws[:, inner])
-    moments = np.einsum("mni,mnj->nij", error, error) / len(error)
+    moments = error.transpose(1, 2, 0) @ error.swapaxes(0, 1) / len(error)
     drawn = np.einsum("mni,mni->ni", draws, draws)[:, :DOF] / len(draws)
     scale = np.sqrt(own[:, :DOF] / drawn)  # removes the sampling error where all is linear
     return scale[:, :, None] * moments * scale[:, None, :]
@@ -125,7 +125,7 @@ def _errors(arclength: Array, state: State, share: float, draws: Array) -> Array
     """Errors (M, N, 18) of a state whose poses err by a share of the steps (M, N, dof) drawn."""
     error, pose = np.empty((*draws.shape[:2], DOF)), _bent(arclength, state, share * draws)
     unturned = np.swapaxes(state.pose[:, :3, :3], -1, -2)
-    error[..., :3] = np.einsum("nij,mnj->mni", unturned, pose[..., :3, 3] - state.pose[:, :3, 3])
+    error[..., :3] = _applied(unturned, pose[..., :3, 3] - state.pose[:, :3, 3])
     error[..., 3:6] = se3.so3_log(unturned @ pose[..., :3, :3])
     error[..., STRAIN] = draws[..., STRAIN]
     error[..., VELOCITY] = _velocities(state, pose, draws) - state.velocity
@@ -152,7 +152,7 @@ def _bent(arclength: Array, state: State, step: Array) -> Array:
     error, jacobian, _ = static_steps(state, nodes, lengths, unit, 0.0 * unit)
     strain = state.strain + step[..., STRAIN]
     moved = [step[:, nodes[:, i], :12] for i in (0, 1)]
-    start, end = (np.einsum("nij,mnj->mni", jacobian[:, :6, i], moved[i]) for i in (0, 1))
+    start, end = (_applied(jacobian[:, :6, i], moved[i]) for i in (0, 1))
     slip = error[:, :6] + start + end
     for n, h in enumerate(lengths):
         onward = se3.exp(h * strain[:, n]) @ se3.exp(slip[:, n])
@@ -170,16 +170,21 @@ def _velocities(state: State, pose: Array, step: Array) -> Array:
     straight, bent = (se3.inverse(p[..., :-1, :, :]) @ p[..., 1:, :, :] for p in (state.pose, pose))
     turn = se3.log(se3.inverse(straight) @ bent)
     back, moved = se3.adjoint(se3.inverse(straight)), step[..., VELOCITY]
-    carried = np.einsum("nij,nj->ni", back, state.velocity[:-1])
-    more = moved[:, 1:] - np.einsum("nij,mnj->mni", back, moved[:, :-1])
-    more += np.einsum("mnij,nj->mni", se3.ad(turn), carried)
-    rate = np.einsum("nij,mnj->mni", se3.right_jacobian_inverse(se3.log(straight)), more)
-    own = np.einsum("mnij,mnj->mni", se3.right_jacobian(se3.log(bent)), rate)
+    carried = (back @ state.velocity[:-1, :, None])[..., 0]
+    more = moved[:, 1:] - _applied(back, moved[:, :-1]) - _applied(se3.ad(carried), turn)
+    rate = _applied(se3.right_jacobian_inverse(se3.log(straight)), more)
+    own = (se3.right_jacobian(se3.log(bent)) @ rate[..., None])[..., 0]
     own += state.velocity[1:] - carried
     bent_back, velocity = se3.adjoint(se3.inverse(bent)), [state.velocity[0] + moved[:, 0]]
     for n in range(own.shape[1]):
-        velocity.append(np.einsum("mij,mj->mi", bent_back[:, n], velocity[-1]) + own[:, n])
+        velocity.append((bent_back[:, n] @ velocity[-1][..., None])[..., 0] + own[:, n])
     return np.stack(velocity, axis=1)
+
+
+def _applied(matrix: Array, vector: Array) -> Array:
+    """Products (M, N, i) of matrices (N, i, j) of nodes and vectors (M, N, j)."""
+    out: Array = (vector.swapaxes(0, 1) @ matrix.swapaxes(-1, -2)).swapaxes(0, 1)
+    return out
 
 
 def _within(pose: Array, base: Array, reach: float) -> Array:
