@@ -265,3 +265,14 @@ def test_a_file_of_results_that_cannot_be_written_is_named_where_it_was_to_be(tm
     named = f"{tmp_path / 'report.json'} cannot be written (No space left on device){kept}."
     assert str(told.value).startswith(named)
     assert [p.name for p in tmp_path.iterdir()] == ["report.json"] * there
+
+
+def test_a_file_of_a_new_folder_that_cannot_be_written_is_named_where_it_was_to_be(tmp_path):
+    def fail():
+        with new_folder(tmp_path / "made", GlissandoError) as folder, new_file(folder / "coil.csv"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(GlissandoError) as told:
+        fail()
+    assert str(told.value).startswith(f"{tmp_path / 'made' / 'coil.csv'} cannot be written")
+    assert not list(tmp_path.iterdir())

@@ -52,9 +52,8 @@ def new_file(path: str | Path) -> Iterator[Path]:
             building.replace(target)
     except OSError as problem:
         reason = problem.strerror or str(problem)
-        shown = path  # in a folder that is being built, of which the user knows nothing
-        if path.parent.name.startswith(_BUILDING):
-            shown = path.parent.parent / path.name
+        # folders that are being built have names of which the user knows nothing
+        shown = Path(*(part for part in path.parts if not part.startswith(_BUILDING)))
         unharmed = "; what was there is as it was" if shown.exists() else ""
         raise GlissandoError(
             f"{shown} cannot be written ({reason}){unharmed}. Free space, or give another name."
@@ -123,7 +122,7 @@ def new_folder(folder: Path, error: type[GlissandoError]) -> Iterator[Path]:
     require_new(folder, error)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(
-        prefix=f".{folder.name}-", dir=folder.parent, ignore_cleanup_errors=True
+        prefix=_BUILDING, dir=folder.parent, ignore_cleanup_errors=True
     ) as temporary:
         building = Path(temporary, folder.name)  # with the usual permissions, unlike `temporary`
         building.mkdir()
