@@ -105,7 +105,7 @@ def test_compiling_says_how_far_it_is(tmp_path, monkeypatch, capsys):
     said = threading.Thread(target=jit._say, args=(kernels, tmp_path, over))
     said.start()
     for number in range(20):
-        (tmp_path / f"steps.{number}-21.py311.nbi").touch()
+        (tmp_path / f"steps.{number}-21.py311.nbc").touch()
         time.sleep(0.02)
     over.set()
     said.join()

@@ -85,7 +85,7 @@ def test_blocks_too_few_for_the_level_are_refused_with_how_many_it_takes():
         conformal_tube(np.ones(18), 2.0, 0.95)
     assert conformal_tube(np.arange(19.0), 2.0, 0.95).sigmas == 18.0
     for level in (0.0, 1.0, np.nan):
-        with pytest.raises(GlissandoError, match="no probability"):
+        with pytest.raises(GlissandoError, match="not a probability"):
             conformal_tube(np.ones(18), 2.0, level)
     with pytest.raises(GlissandoError, match="0 s or more"):
         block_scores([], -1.0)

@@ -297,8 +297,8 @@ def test_what_is_no_aurora_is_a_sentence():
 ADDRESSES = {
     "/dev/ttyNOPE": "There is no device /dev/ttyNOPE",
     "tcp://127.0.0.1:1": "Nothing answers at",
-    "tcp://here": "no network address",
-    "tcp://here:99999": "no network address",
+    "tcp://here": "not a network address",
+    "tcp://here:99999": "not a network address",
     __file__: "cannot be opened as a serial port",
 }
 

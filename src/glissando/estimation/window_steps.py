@@ -242,7 +242,7 @@ class WindowSteps:
         if cov is None:
             cov = shape_covariances(self.window.arclength, *self.window.newest())
             self._cov_at_rest = cov if self.resting else self._cov_at_rest
-        return ShapeSpread(linear.pose, linear.strain, linear.velocity, cov)
+        return ShapeSpread(linear.pose, linear.strain, linear.velocity, cov.copy())
 
     def _arrive(self) -> tuple[Counter[str], float]:
         """Hold new readings up to the newest node: number by stream, and the earliest time."""
