@@ -1,10 +1,12 @@
 """Pauses: belief grows, saturates, claims no more than is true, and takes true readings back."""
 
 from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import separable_sessions as drawn
@@ -252,6 +254,49 @@ def test_the_spread_of_nodes_that_turn_by_less_than_half_a_turn_is_that_of_the_p
             "mi,ij,mj->m", off[:, n], np.linalg.inv(found.cov_position_world[n]), off[:, n]
         )
         assert 0.8 < squares.mean() / 3.0 < 1.25
+
+
+def soft_shapes(rng, length, psd, count=300, steps=280):
+    """Positions (steps + 1, count, 3) along bodies whose curvature is a random walk."""
+    h, turn = length / steps, Rotation.identity(count)
+    bend, position = np.sqrt(psd) * rng.standard_normal((count, 3)), [np.zeros((count, 3))]
+    for _ in range(steps):
+        along = (turn * Rotation.from_rotvec(0.5 * h * bend)).apply([0.0, 0.0, 1.0])
+        position.append(position[-1] + h * along)
+        turn = turn * Rotation.from_rotvec(h * bend)
+        bend = bend + np.sqrt(h * psd) * rng.standard_normal((count, 3))
+    return np.array(position)
+
+
+@settings(law, max_examples=4)
+@given(generators)
+def test_however_soft_a_body_is_each_of_its_nodes_is_as_uncertain_as_its_shapes_differ(rng):
+    """Narrowed in steps of two, a node was up to twice as sure as one that may point anywhere."""
+    length, nodes, stiff = 0.4, np.linspace(0.0, 0.4, 15), np.repeat(1e-6, 3)
+    psd = np.repeat(10.0 ** rng.uniform(1.5, 6.0), 3)
+    prior = SeparablePrior(
+        np.append(stiff, psd),
+        0.5,
+        BaseVariance(np.repeat([1e-8, 1e-6], 3), np.append(stiff, psd)),
+    )
+    found = FixedLagSmoother(prior, nodes).advance(0.0)
+    off = soft_shapes(rng, length, psd)[::20] - found.position[:, None]
+    squares = np.einsum(
+        "nmi,nij,nmj->nm", off[1:], np.linalg.inv(found.cov_position_world[1:]), off[1:]
+    )
+    assert np.all(squares.mean(axis=1) / 3.0 < 1.3)
+    assert np.all(np.diff(found.std_position) > 0.0)
+
+
+@settings(law, max_examples=10)
+@given(generators)
+def test_a_base_of_unknown_direction_stands_where_its_file_states(rng):
+    robot = load_robot("tdcr466-segments")
+    var = np.repeat(10.0 ** rng.uniform([-4.0, -2.0], [-2.0, 4.0]), 3)
+    prior = replace(robot.prior, base=BaseVariance(var, robot.prior.base.strain))
+    found = FixedLagSmoother(prior, robot.arclength_nodes).advance(0.0)
+    np.testing.assert_allclose(np.diagonal(found.cov[0])[:3], var[:3], rtol=2e-2)
+    assert np.all(np.diagonal(found.cov[0])[3:6] < np.pi**2)
 
 
 @pytest.mark.parametrize("name", shipped_robots())

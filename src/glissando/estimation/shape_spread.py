@@ -109,12 +109,12 @@ def shape_covariances(arclength: Array, state: State, cov: Array) -> Array:
     draws = np.concatenate([draws, -draws]).reshape(-1, count, dof)
     own = np.diagonal(cov).reshape(count, dof)
     turn = np.sqrt(own[:, POSE][:, 3:].sum(axis=1))
-    share, error = min(1.0, _WOUND / turn[-1]), np.empty((*draws.shape[:2], DOF))
-    error[:] = _errors(arclength, state, share, draws)
-    while share < 1.0:  # twice as many nodes, from the base on, as turn half as far
-        share = min(1.0, 2.0 * share)
-        inner = slice(int(np.argmax(np.append(share * turn, np.inf) > _WOUND)))
-        error[:, inner] = _errors(arclength[inner], state.take(inner), share, draws[:, inner])
+    shares, error = np.minimum(1.0, _WOUND / turn), np.empty((*draws.shape[:2], DOF))
+    for share in np.unique(shares):  # a node's shape is that of the body up to it
+        at = np.flatnonzero(shares == share)
+        inner = slice(at[-1] + 1)
+        found = _errors(arclength[inner], state.take(inner), share, draws[:, inner])
+        error[:, at] = found[:, at]
     moments = error.transpose(1, 2, 0) @ error.swapaxes(0, 1) / len(error)
     drawn = np.einsum("mni,mni->ni", draws, draws)[:, :DOF] / len(draws)
     scale = np.sqrt(own[:, :DOF] / drawn)  # removes the sampling error where all is linear
@@ -125,6 +125,8 @@ def _errors(arclength: Array, state: State, share: float, draws: Array) -> Array
     """Errors (M, N, 18) of a state whose poses err by a share of the steps (M, N, dof) drawn."""
     error, pose = np.empty((*draws.shape[:2], DOF)), _bent(arclength, state, share * draws)
     unturned = np.swapaxes(state.pose[:, :3, :3], -1, -2)
+    base = state.pose[0, :3, 3] + draws[:, 0, :3] @ unturned[0]  # where it is winds up nothing
+    pose[..., :3, 3] += (base - pose[:, 0, :3, 3])[:, None]
     error[..., :3] = _applied(unturned, pose[..., :3, 3] - state.pose[:, :3, 3])
     error[..., 3:6] = se3.so3_log(unturned @ pose[..., :3, :3])
     error[..., STRAIN] = draws[..., STRAIN]
