@@ -242,3 +242,34 @@ def test_a_saved_window_is_sound_and_commands_take_it(tmp_path, capsys):
     assert main(["view", str(tmp_path), "--html", str(tmp_path / "view.html")]) == 0
     assert "updated online" in (tmp_path / "view.html").read_text()
     capsys.readouterr()
+
+
+HANDED = {
+    "advance": lambda smoother, newest: newest,
+    "newest": lambda smoother, newest: smoother.newest(),
+    "at": lambda smoother, newest: smoother.at(smoother.arclength, smoother.time + 0.2),
+    "newest_node": lambda smoother, newest: smoother.newest_node()[0],
+    "posterior": lambda smoother, newest: smoother.posterior().state,
+}
+
+
+@pytest.mark.parametrize("handed", HANDED)
+@pytest.mark.parametrize("read", [True, False])
+def test_what_a_caller_writes_to_an_estimate_does_not_reach_the_smoother(handed, read):
+    """As in millimetres: `newest.pose[:, :3, 3] *= 1e3` displaced the next prediction, too."""
+    found, robot = [], load_robot("tdcr466-segments")
+    pose = np.eye(4)[None].copy()
+    pose[0, 2, 3] = robot.length
+    for written in (False, True):
+        smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes)
+        for time in (0.0, 0.1, 0.2):
+            if read:
+                smoother.add(PoseReadings(time=[time], arclength=[0.466], values=pose, cov=1e-6))
+            given_out = HANDED[handed](smoother, smoother.advance(time))
+            if written:
+                for values in vars(given_out).values():
+                    if values is not None:
+                        values[...] = 3.0
+        found.append(smoother.newest())
+    for mine, its in zip(*(vars(each).values() for each in found), strict=True):
+        np.testing.assert_array_equal(mine, its)

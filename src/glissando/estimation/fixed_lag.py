@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
+from copy import deepcopy
 from functools import partial
 
 import numpy as np
@@ -287,7 +288,7 @@ class FixedLagSmoother:
         """
         self._require_started()
         state, cov = self._window.newest()
-        return state, cov, self._window.grid(len(self._window.nodes) - 1)
+        return deepcopy(state), cov, self._window.grid(len(self._window.nodes) - 1)
 
     @property
     def updates(self) -> int:

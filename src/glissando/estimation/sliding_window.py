@@ -9,7 +9,7 @@ Source: equation (20); Huang, Mourikis and Roumeliotis (2010) on first estimates
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from copy import copy
+from copy import copy, deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -297,11 +297,12 @@ class SlidingWindow:
         cov = window_kernels.node_covariances(self._root, layout.nodes, layout.dof, DOF)
         if has_rolled(start, end):
             transport(whole(start.slope_to(end)[:, None, :DOF, :DOF]), cov)
+        end = deepcopy(end)  # a caller may write to it
         return StateEstimate(end.pose, end.strain, end.velocity, cov)
 
     def posterior(self) -> Posterior:
         """The window as a posterior, like that of a recording."""
-        state, values = self.nodes.estimate
+        state, values = deepcopy(self.nodes.estimate)  # a caller may write to it
         system, rhs = self._system.system()
         report = SolveReport(Outcome.UPDATED, 1, 0.0, rhs.size, 0.0, 0.0, 0, {})
         pairs = zip(self._process.each, self._process.columns, strict=True)
