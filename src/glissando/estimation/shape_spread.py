@@ -22,7 +22,7 @@ from glissando.model.state import DOF, POSE, STRAIN, VELOCITY, State
 
 _WOUND = float(np.pi)  # rad: largest std of a node's rotation; more would wind the body up
 _STRETCH = 1.1  # times its length: farthest reach of a body
-_PAIRS = 256  # pairs of antithetic draws
+_PAIRS = 128  # pairs of antithetic draws
 _UNMOVED = np.eye(4)
 
 
