@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from glissando.errors import GlissandoError
+from glissando.geometry.se3 import Array
 from glissando.model.robot import Robot
 from glissando.planning.compare import evaluate_path
 from glissando.planning.objectives import Objective
 from glissando.planning.path_objective import path_objective_of
 from glissando.planning.path_space import PathSpace
 from glissando.planning.plan_slide import plan_slide
-from glissando.planning.planning_problem import predict_information
+from glissando.planning.planning_problem import PlanningProblem, predict_information
 from glissando.planning.sliding_sensor import sliding_sensor
 from glissando.planning.zones import Zone
 
@@ -36,7 +37,7 @@ class Design:
         speed: Largest speed, m/s.
         rate: Sampling rate of each coil, Hz.
         coils: Number of coils.
-        value: Value of the objective.
+        value: Value of the objective over all zones, by the same model as `std`.
         std: Root of the mean position variance in each zone (Z,), m.
     """
 
@@ -103,8 +104,20 @@ def sweep(
                 lower, upper, speed, acceleration, problem.step, problem.steps, start=upper
             )
             plan = plan_slide(path_objective, path_space, zones)
-            std = (evaluate_path(problem, [z], objective, plan.arclength).std for z in zones)
-            yield Design(stroke, speed, rate, count, plan.value, tuple(std))
+            value, std = _evaluated(problem, zones, objective, plan.arclength)
+            yield Design(stroke, speed, rate, count, value, std)
+
+
+def _evaluated(
+    problem: PlanningProblem, zones: Sequence[Zone], objective: Objective, arclength: Array
+) -> tuple[float, tuple[float, ...]]:
+    """Objective of all zones and the deviation in each, of one path by the full model."""
+    prediction = problem.predict(arclength)
+    full = [
+        evaluate_path(problem, part, objective, arclength, prediction)
+        for part in (zones, *([zone] for zone in zones))
+    ]
+    return full[0].value, tuple(each.std for each in full[1:])
 
 
 def _spacing(stroke: float, count: int, upper: float) -> float:
