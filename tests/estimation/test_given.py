@@ -22,6 +22,7 @@ from glissando import (
 )
 from glissando.errors import OutsideGridError, SensorError
 from glissando.geometry import se3
+from mechanical_rod import mechanical
 from scenes import sliding_scene
 
 
@@ -203,3 +204,8 @@ def test_places_and_times_of_a_query_are_numbers_that_fit_together():
         for asked in (smoother, smoother.posterior()):
             with pytest.raises(OutsideGridError, match="Places and times are numbers, m and s"):
                 asked.at(place, time)
+
+
+def test_a_rod_of_one_node_is_refused():
+    with pytest.raises(OutsideGridError, match="two arclength nodes or more"):
+        FixedLagSmoother(mechanical(points=np.zeros(0), var_points=np.zeros((0, 6))), [0.0])

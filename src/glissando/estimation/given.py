@@ -176,6 +176,11 @@ def require_model(
             f"base stands; begin at 0, or give a prior without a base."
         )
     mechanics = getattr(prior, "mechanics", None)
+    if isinstance(mechanics, Mechanics) and arclength.size == 1:
+        raise OutsideGridError(
+            "The only arclength node is the base, and a prior of mechanics needs the rod's tip as "
+            "well; give two arclength nodes or more."
+        )
     wrong = implausible(mechanics, longest) if isinstance(mechanics, Mechanics) else None
     if wrong is not None:
         raise GlissandoError(f"Mechanics: {wrong[0]} {wrong[1]}")
