@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -185,6 +187,25 @@ def test_with_a_window_as_long_as_the_recording_what_is_lagged_is_what_the_batch
     assert newest.position.size == its.position.size  # each truth sample is judged once
     np.testing.assert_array_equal(newest.time, its.time)
     assert not np.allclose(newest.position, mine.position, atol=1e-4)
+
+
+def test_rows_that_a_tracker_repeats_are_counted_as_by_an_estimate(recorded, tmp_path, capsys):
+    folder = shutil.copytree(recorded.folder, tmp_path / "polled")
+    about = folder / "recording.toml"
+    about.write_text(about.read_text().replace("keep_repeats = true\n", ""))
+    file = folder / "coil.csv"
+    head, *rows = file.read_text().splitlines()
+    later = [f"{float(r.partition(',')[0]) + 1e-3!r},{r.partition(',')[2]}" for r in rows[:7]]
+    file.write_text(
+        "\n".join([head, *sorted(rows + later, key=lambda r: float(r.split(",")[0]))]) + "\n"
+    )
+    counts = []
+    for command in ("estimate", "replay"):
+        assert main([command, str(folder)]) == 0
+        counts.append(re.findall(r"(\d+) repeated rows dropped", capsys.readouterr().out))
+    assert counts == [["7"], ["7"]]
+    run = replay(load_recording(folder), load_recording(folder).robot)
+    assert run.as_json()["rows_dropped"] == {"coil": {"repeated": 7}}
 
 
 @pytest.mark.slow

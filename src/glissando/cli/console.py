@@ -9,6 +9,7 @@ from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console as RichConsole
+from rich.markup import escape
 from rich.table import Table
 
 _WIDE = 10_000  # columns of a file or a pipe, so that no line is cut
@@ -52,6 +53,13 @@ def number_table(title: str, numbers: Sequence[str], *, left: Sequence[str] = ()
     for heading in numbers:
         table.add_column(heading, justify="right")
     return table
+
+
+def print_rows_dropped(dropped: Mapping[str, Mapping[str, int]], console: Console) -> None:
+    """Print how many rows of a recording were dropped, by stream and reason."""
+    for name, reasons in dropped.items():
+        counted = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+        console.print(f"  {escape(name)}: {counted} rows dropped in the whole recording")
 
 
 def site_table(title: str, headings: Sequence[str]) -> Table:

@@ -11,7 +11,14 @@ from typing import Any
 import numpy as np
 from rich.markup import escape
 
-from glissando.cli.console import TRUTH_HEADINGS, Console, parameter_text, site_table, truth_cells
+from glissando.cli.console import (
+    TRUTH_HEADINGS,
+    Console,
+    parameter_text,
+    print_rows_dropped,
+    site_table,
+    truth_cells,
+)
 from glissando.cli.loads import loads_json, print_loads, scanned, write_contacts
 from glissando.cli.outputs import (
     require_replaceable,
@@ -150,9 +157,7 @@ def _print(run: Run, console: Console) -> None:
         f"{seconds(*run.window)} s: {solve.status}, {counted}{solve.unknowns:,} unknowns, "
         f"{sum(len(r) for r in run.readings):,} readings, {solve.seconds['total']:.2f} s of CPU"
     )
-    for name, reasons in run.dropped.items():
-        counted = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
-        console.print(f"  {escape(name)}: {counted} rows dropped in the whole recording")
+    print_rows_dropped(run.dropped, console)
     for name, times in run.refused().items():
         shown = ", ".join(f"{t:.3f}" for t in times[:_SHOWN]) + ", …" * (len(times) > _SHOWN)
         one = len(times) == 1

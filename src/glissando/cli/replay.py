@@ -12,7 +12,7 @@ import numpy as np
 from rich.markup import escape
 
 from glissando.cli.browser import browser_view
-from glissando.cli.console import Console, site_table, truth_cells
+from glissando.cli.console import Console, print_rows_dropped, site_table, truth_cells
 from glissando.cli.outputs import require_results_folder, stated
 from glissando.cli.progress import working
 from glissando.cli.shared import Commands, add_choices, add_command, recording_and_robot
@@ -137,6 +137,7 @@ def _print(result: Replay, console: Console) -> None:
         console.print(
             f"  went on with its log: all numbers are from {seconds(report['judged_from'])} s on"
         )
+    print_rows_dropped(result.rows_dropped, console)
     for name, reasons in report["dropped"].items():
         counted = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
         console.print(f"  {escape(name)}: {counted} readings not used")

@@ -72,6 +72,7 @@ class Replay(ShortRepr):
         newest: Errors at each site in the interval before each update, given all readings up to it.
         lagged: Errors at each site in the oldest interval of the window after each update.
         adaptive: Adaptive prediction sets for the next reading of each stream, by its name.
+        rows_dropped: Numbers of rows of the recording that are no readings, by stream and reason.
     """
 
     recording: Recording
@@ -86,6 +87,7 @@ class Replay(ShortRepr):
     newest: list[Errors]
     lagged: list[Errors]
     adaptive: dict[str, AdaptiveSet] = field(default_factory=dict)
+    rows_dropped: dict[str, dict[str, int]] = field(default_factory=dict)
 
     @property
     def real_time_factor(self) -> float:
@@ -106,6 +108,7 @@ class Replay(ShortRepr):
             "real_time_factor": self.real_time_factor,
             "newest": _summary(self.newest),
             "lagged": _summary(self.lagged),
+            "rows_dropped": self.rows_dropped,
             "dropped": {name: dict(why) for name, why in self.smoother.dropped.items()},
             "restarts": self.smoother.restarts,
             "nis": float(np.nanmean(self.nis)) if np.any(np.isfinite(self.nis)) else None,
@@ -161,11 +164,11 @@ def replay(
         ImplausibleError: Readings contradict their declared units, frames or clocks, or the robot.
     """
     first, last = checked_window(recording, window)
-    readings, references, _ = chosen_streams(recording, robot, (first, last), use, truth)
+    readings, references, dropped = chosen_streams(recording, robot, (first, last), use, truth)
     if not sum(map(len, readings)):
         raise RecordingError(f"{recording.name} holds no readings from {seconds(first, last)} s.")
     refuse(examine_recording(recording, robot, readings, references, (first, last), allow))
-    readings = without_false_readings(robot, readings, {}, {*recording.allow, *allow})
+    readings = without_false_readings(robot, readings, dropped, {*recording.allow, *allow})
     times = np.linspace(first, last, max(2, round((last - first) * robot.time_rate) + 1))
     nodes = _NODES if lag is None else max(1, round(lag * robot.time_rate) + 1)
     smoother = FixedLagSmoother(
@@ -186,7 +189,7 @@ def replay(
             run.through(*rest, log, wait=real_time)
     return Replay(
         recording, robot, (first, last), nodes, smoother, times, np.array(run.latency), run.states,
-        np.array(run.nis), _by_site(run.newest), _by_site(run.lagged), run.adaptive,
+        np.array(run.nis), _by_site(run.newest), _by_site(run.lagged), run.adaptive, dropped,
     )  # fmt: skip
 
 
