@@ -116,7 +116,7 @@ def test_an_mcap_file_is_read_by_its_own_reader_and_fits_its_schemas(posterior, 
             "a.mcap",
             {"arclength": np.array([0.1, 0.5])},
             OutsideGridError,
-            "row 1 has arclength 0.5",
+            r"row 1 has arclength 0.5 m, .* Ask for what lies inside\.",
         ),
     ],
 )

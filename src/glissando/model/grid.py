@@ -20,6 +20,7 @@ SAME = 1e-9
 _MOST_NODES = 1e7  # time nodes of a grid; more mean a wrong unit
 
 _LEAST_SPACING = 0.05  # of an interval: a reading closer to a node gets no node of its own
+_ASKED = "Query", "Contact", "Export"  # of an estimate: points that are not those of readings
 _TOLERANCE = 1e-9  # relative: of a step, to lie on a node; of the length, to lie inside the grid
 
 
@@ -249,7 +250,7 @@ class Grid(ShortRepr):
         form = seconds if name == "time" else "{:.4g}".format
         shown = ", ".join(form(values[i]) for i in first)
         cure = "Correct them, widen the grid, or drop them (readings.inside(grid) does)."
-        cure = "Ask for what lies inside." if what == "Query" else cure
+        cure = "Ask for what lies inside." if what in _ASKED else cure
         rows = f"row {first[0]} has" if first.size == 1 else f"rows {_listed(first)} have"
         excess = np.maximum(values[outside] - nodes[-1], nodes[0] - values[outside]).max()
         far = f"up to {excess:.3g} {unit} outside" if np.isfinite(excess) else "not inside"
