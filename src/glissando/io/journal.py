@@ -112,7 +112,7 @@ class Journal:
             )
         table = rows.table()
         lines = (",".join(map(repr, row)) for row in table.tolist())
-        with self._telling_what_failed():
+        with self._naming_the_folder():
             file = self._files.get(readings.label) or self._open_stream(readings, rows)
             file.write(("\n".join(lines) + "\n" if len(table) else "").encode())
             file.flush()
@@ -125,7 +125,7 @@ class Journal:
         Raises:
             RecordingError: Writing to disk failed.
         """
-        with self._telling_what_failed():
+        with self._naming_the_folder():
             for file in self._files.values():
                 os.fsync(file.fileno())
         self._synced = time.monotonic()
@@ -146,8 +146,8 @@ class Journal:
             self._unlock()
 
     @contextmanager
-    def _telling_what_failed(self) -> Iterator[None]:
-        """Turn an error of the system into one that names the folder."""
+    def _naming_the_folder(self) -> Iterator[None]:
+        """Turn an error of the system into one that names the folder of this journal."""
         try:
             yield
         except OSError as problem:
