@@ -5,8 +5,8 @@ then there are no readings for the pause; then it reads a coil at the tip of ano
 because after a long pause the robot may be anywhere. The table has the NEES of the tip's position
 at the last update before the pause, at its end before any reading, at the first update with a
 reading, and at the fifth. A still robot has smaller errors than a prior for moving ones predicts,
-so NEES is tested against the upper bound only; `tests/estimation/test_silence.py` draws motions
-from the prior itself, for which NEES is inside both bounds.
+so NEES is tested against the upper bound only; `tests/estimation/test_reading_pause.py` draws
+motions from the prior itself, for which NEES is inside both bounds.
 
 Usage: silence.py [--robots NAME …] [--pauses SECONDS …] [--sessions N] [--first-seed N] [--json]
 """
