@@ -15,7 +15,7 @@ from copy import deepcopy
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from glissando._kernels.threads import one_thread
 from glissando.errors import OutsideGridError
@@ -36,14 +36,14 @@ from glissando.estimation.loads import require_mechanics
 from glissando.estimation.online_monitor import OnlineMonitor
 from glissando.estimation.posterior import Posterior
 from glissando.estimation.predicted import predicted
-from glissando.estimation.shape_spread import ShapeSpread, spread_between
+from glissando.estimation.shape_spread import merged, spread_between
 from glissando.estimation.sliding_window import SlidingWindow
 from glissando.estimation.state_estimate import StateEstimate, spread, state_at
+from glissando.estimation.window_factors import warm_up_kernels
 from glissando.estimation.window_parameters import NotLinearError
 from glissando.estimation.window_steps import WindowSteps
 from glissando.geometry.se3 import Array
 from glissando.model.grid import Grid, points_of
-from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior
 from glissando.model.robot import Robot
 from glissando.model.sensors.parameters import SensorParameter, corrected
@@ -52,7 +52,6 @@ from glissando.model.state import State
 from glissando.solver.block_tridiagonal import Marginals
 
 _DATED = 4  # least number of time nodes where a delay is estimated, for readings to converge
-_STEP = 0.1  # s between the time nodes of a first call, if the prior's numerics allow it
 _BEYOND = 1.5  # factor on how far the other window reaches back, for slopes at the oldest node
 
 
@@ -98,7 +97,7 @@ class FixedLagSmoother:
         self.arclength = arclength_nodes(arclength)
         require_model(prior, self.arclength, sensor_parameters)
         self._window = SlidingWindow(prior, self.arclength, sensor_parameters)
-        _warm_up_kernels(prior, self.arclength)
+        warm_up_kernels(prior, self.arclength)
         self._known = [p for p in sensor_parameters if p.known]
         self._late, others = delayed(sensor_parameters)
         self.lag = window = max(window, _DATED) if self._late else window
@@ -250,7 +249,7 @@ class FixedLagSmoother:
         if late.all() or begins <= newest:
             return predicted(window, place, when, newest)
         ahead = predicted(window, place[late], when[late], newest)
-        return _merged(late, self.at(place[~late], when[~late]), ahead)
+        return merged(late, self.at(place[~late], when[~late]), ahead)
 
     def placed(self, readings: Readings) -> Readings:
         """Readings of a sensor in a channel, located by the newest shape (M8); others unchanged."""
@@ -324,31 +323,3 @@ class FixedLagSmoother:
     def fits(self) -> bool:
         """Whether recent innovations are as small as chance allows, the robot within its reach."""
         return self._steps.gate.fits and not self._monitor.beyond
-
-
-def _merged(late: NDArray[np.bool_], early: StateEstimate, other: StateEstimate) -> StateEstimate:
-    """Merge states of two groups of points; the mask `late` (…) marks those of the second."""
-    spread = ShapeSpread in (type(early), type(other))
-    if spread:
-        early, other = (
-            e if isinstance(e, ShapeSpread) else ShapeSpread.of(e) for e in (early, other)
-        )
-    out = []
-    for name in ("pose", "strain", "velocity", "cov"):
-        one, two = getattr(early, name), getattr(other, name)
-        values = np.empty((*late.shape, *one.shape[1:]))
-        values[~late], values[late] = one, two
-        out.append(values)
-    return ShapeSpread(*out) if spread else StateEstimate(*out)
-
-
-def _warm_up_kernels(prior: Prior, arclength: Array) -> None:
-    """Call all kernels of a prior once, so that they are compiled before the first reading."""
-    step = max(_STEP, prior.least_step(arclength))
-    grid = Grid(arclength, [0.0, step])
-    rest = prior.rest_state(grid)
-    for _ in (*prior.factors(grid, rest, rest, slice(0, 2)), *prior.static_factors(grid, rest)):
-        pass
-    s, t = np.meshgrid([arclength[0], arclength[:2].mean()], [0.0, 0.5 * step])
-    for points in sort_points(grid, s.ravel(), t.ravel()):
-        prior.interpolate(grid, rest, rest, points)

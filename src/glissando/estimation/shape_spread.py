@@ -13,6 +13,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glissando.estimation.state_estimate import StateEstimate
 from glissando.geometry import se3
@@ -61,6 +62,28 @@ def spread_between(
     """
     cov = between_nodes(arclength, nodes.cov, place)
     return ShapeSpread(at.pose, at.strain, at.velocity, cov)
+
+
+def merged(late: NDArray[np.bool_], early: StateEstimate, other: StateEstimate) -> StateEstimate:
+    """Merge estimates of two groups of points into a spread of shapes if either is one.
+
+    Args:
+        late: Mask (…) of the points of the second group.
+        early: Estimate at the points of the first group.
+        other: Estimate at the points of the second group.
+    """
+    spread = ShapeSpread in (type(early), type(other))
+    if spread:
+        early, other = (
+            e if isinstance(e, ShapeSpread) else ShapeSpread.of(e) for e in (early, other)
+        )
+    out = []
+    for name in ("pose", "strain", "velocity", "cov"):
+        one, two = getattr(early, name), getattr(other, name)
+        values = np.empty((*late.shape, *one.shape[1:]))
+        values[~late], values[late] = one, two
+        out.append(values)
+    return ShapeSpread(*out) if spread else StateEstimate(*out)
 
 
 def between_nodes(arclength: Array, cov: Array, place: Array) -> Array:

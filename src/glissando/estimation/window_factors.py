@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 
+import numpy as np
+
 from glissando.estimation.channels import place_in_channel
 from glissando.estimation.delay_dating import DelayDating
 from glissando.estimation.held_readings import HeldReadings
@@ -15,6 +17,7 @@ from glissando.estimation.window_nodes import Nodes
 from glissando.geometry.se3 import Array
 from glissando.model.factors import Factors, Residuals
 from glissando.model.grid import Grid
+from glissando.model.interpolation import sort_points
 from glissando.model.priors.prior import Prior, load_kernels, without_roll_transport
 from glissando.model.priors.white_noise import WhiteNoisePrior
 from glissando.model.sensors.compiled_readings import is_compiled
@@ -24,6 +27,8 @@ from glissando.model.state import DOF
 from glissando.solver.located_readings import locate
 from glissando.solver.measurement_factors import measurement_factors
 from glissando.solver.normal_equations import NormalEquationsBuilder
+
+_STEP = 0.1  # s between the time nodes of a first call, if the prior's numerics allow it
 
 
 class WindowFactors:
@@ -126,3 +131,20 @@ class WindowFactors:
         """Readings of a window without motion, with noise for a delay of `lag` s added."""
         moves = moved_within(self.prior, self._arclength, nodes.state, lag)
         return widened(factors, moves.reshape(2 * [self._arclength.size, nodes.state.dof]))
+
+
+def warm_up_kernels(prior: Prior, arclength: Array) -> None:
+    """Call all kernels of a prior once, so that they are compiled before the first reading.
+
+    Args:
+        prior: The prior of the motion.
+        arclength: Arclength nodes (N,), m.
+    """
+    step = max(_STEP, prior.least_step(arclength))
+    grid = Grid(arclength, [0.0, step])
+    rest = prior.rest_state(grid)
+    for _ in (*prior.factors(grid, rest, rest, slice(0, 2)), *prior.static_factors(grid, rest)):
+        pass
+    s, t = np.meshgrid([arclength[0], arclength[:2].mean()], [0.0, 0.5 * step])
+    for points in sort_points(grid, s.ravel(), t.ravel()):
+        prior.interpolate(grid, rest, rest, points)
