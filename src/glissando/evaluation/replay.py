@@ -72,7 +72,7 @@ class Replay(ShortRepr):
         newest: Errors at each site in the interval before each update, given all readings up to it.
         lagged: Errors at each site in the oldest interval of the window after each update.
         adaptive: Adaptive prediction sets for the next reading of each stream, by its name.
-        rows_dropped: Numbers of rows of the recording that are no readings, by stream and reason.
+        rows_dropped: Numbers of rows of the recording that were dropped, by stream and reason.
     """
 
     recording: Recording
