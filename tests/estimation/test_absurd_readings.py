@@ -148,3 +148,24 @@ def test_a_base_that_moves_as_far_as_stated_is_within_reach(rng):
             )
         smoother.advance(now)
         assert smoother.fits
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:The window began again", "ignore:The estimate is")
+@pytest.mark.parametrize("seed", [1, 5, 6])
+def test_a_loop_that_was_misled_returns_without_a_detour(seed):
+    """Steps that diverge are no estimate: the tip is never farther away than what was read."""
+    robot, rng = load_robot("sliding700"), np.random.default_rng(seed)
+    std = np.sqrt(np.repeat([5e-7, 4e-5], [3, 2]))
+    smoother, off = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=4), []
+    for k, now in enumerate(np.arange(30) / 20.0):
+        seen = straight([robot.length]) @ se3.exp(np.append(std * rng.standard_normal(5), 0.0))
+        if k < 10:  # twice as far as the robot reaches
+            seen[:, :3, 3] *= 2.0
+        smoother.add(CoilReadings(
+            time=[now], arclength=[robot.length], values=seen, cov=std**2, name="coil"
+        ))  # fmt: skip
+        tip = smoother.advance(now).position[-1]
+        assert np.linalg.norm(tip) < 2.2 * robot.length
+        off.append(np.linalg.norm(tip - seen[0, :3, 3]))
+    assert max(off[-5:]) < 5e-3

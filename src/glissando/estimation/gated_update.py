@@ -22,6 +22,7 @@ from glissando.solver.gauss_newton import SolverOptions
 _RENEWED = 2  # intervals before the newest node that an update linearises again
 _CLOSE = 0.02  # standard deviations: if the last step's error was less, only the newest interval is
 _MISS = 0.05  # standard deviations: a step with a larger error is followed by another
+_ASTRAY = 10.0  # standard deviations: a solution whose last step has a larger error is none
 _LONG, _BRIEF = 30, 10  # iterations of a start, with other shapes and without
 _SAVED = 400  # most iterations saved up for starts; every update saves one
 _SUDDEN = 0.1  # s: time scale of contacts
@@ -99,7 +100,8 @@ class GatedUpdate:
             linear: Whether the covariance is small enough for innovations to be tested.
 
         Raises:
-            NotLinearError: New readings contradict an estimate too uncertain to refuse them.
+            NotLinearError: New readings contradict an estimate too uncertain to refuse them, or the
+                steps diverge.
         """
         self._budget = min(self._budget + 1, _SAVED)
         window, before = self._window, self._window.points
@@ -110,7 +112,7 @@ class GatedUpdate:
                 self._missed = _solve(window, first, readings, _MOST)
                 wrong = self._worst(window, fresh, first_look=not attempt) if fresh else None
                 if wrong is None or attempt == most:
-                    return
+                    break
             except (np.linalg.LinAlgError, UnobservableError) as error:
                 if not fresh or attempt == most:
                     raise
@@ -119,7 +121,7 @@ class GatedUpdate:
                 raise NotLinearError
             judge = window if breakdown else self._with_contacts(first, readings)
             if judge is not window and (wrong := self._worst(judge, fresh)) is None:
-                return
+                break
             judge.points = before
             _solve(judge, first, readings, 1)
             wrong = self._worst(judge, fresh) or wrong
@@ -128,6 +130,8 @@ class GatedUpdate:
             self._refuse(*wrong)
             fresh[wrong[0]] -= 1
             window.points = before
+        if self._missed > _ASTRAY:
+            raise NotLinearError
 
     def readings(self, first: int) -> HeldReadings:
         """Readings at and after a node."""
