@@ -2,6 +2,7 @@
 
 import warnings
 from itertools import cycle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,12 +17,14 @@ from glissando import (
     SeparablePrior,
     load_robot,
 )
-from glissando.estimation import several_starts
+from glissando.estimation import gated_update, several_starts
+from glissando.estimation.batch import estimate_in_passing
 from glissando.estimation.bent_starts import bent_starts
 from glissando.estimation.fixed_lag import FixedLagSmoother
 from glissando.geometry import se3
 from glissando.io.shipped_robots import shipped_robots
 
+REAL = Path(__file__).parents[2] / "benchmarks" / "real.toml"  # of a real robot, with mechanics
 UPDATES = 12
 
 
@@ -169,3 +172,31 @@ def test_a_loop_that_was_misled_returns_without_a_detour(seed):
         assert np.linalg.norm(tip) < 2.2 * robot.length
         off.append(np.linalg.norm(tip - seen[0, :3, 3]))
     assert max(off[-5:]) < 5e-3
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:The window began again", "ignore:The estimate is")
+def test_a_loop_that_nothing_explains_searches_rarely(monkeypatch):
+    """A search costs as much as many updates, so that one at every update delays the loop."""
+    searches = []
+
+    def counted(*given, **options):
+        searches.append(given)
+        return estimate_in_passing(*given, **options)
+
+    monkeypatch.setattr(gated_update, "estimate_in_passing", counted)
+    robot = load_robot(REAL)
+    smoother = FixedLagSmoother(robot.prior, robot.arclength_nodes, window=4)
+    rng, std = np.random.default_rng(0), np.sqrt(np.repeat([5e-7, 4e-5], [3, 2]))
+    for k in range(40):
+        time = 0.075 * k + np.array([-0.05, -0.025, 0.0])
+        seen = straight(np.full(3, robot.length))
+        seen[:, :3, 3] *= 2.0
+        seen = seen @ se3.exp(
+            np.append(std * rng.standard_normal((3, 5)), np.zeros((3, 1)), axis=1)
+        )
+        smoother.add(
+            CoilReadings(time=time, arclength=robot.length, values=seen, cov=std**2, name="tip")
+        )
+        smoother.advance(time[-1])
+    assert 1 <= len(searches) <= 12

@@ -24,7 +24,7 @@ _CLOSE = 0.02  # standard deviations: if the last step's error was less, only th
 _MISS = 0.05  # standard deviations: a step with a larger error is followed by another
 _ASTRAY = 10.0  # standard deviations: a solution whose last step has a larger error is none
 _LONG, _BRIEF = 30, 10  # iterations of a start, with other shapes and without
-_SAVED = 400  # most iterations saved up for starts; every update saves one
+_SAVED, _OWED = 400, 100  # most iterations saved up for starts, and owed; every update saves one
 _SUDDEN = 0.1  # s: time scale of contacts
 _MOST = 5  # most steps of a solution, and readings that any update may refuse
 
@@ -55,10 +55,13 @@ class GatedUpdate:
 
         Starts other than rest cost as much as hundreds of updates and are tried as rarely, since
         readings that no shape explains, as of a tracker in another frame, come again and again.
+        If too many iterations are owed, the next update begins at rest without a search.
 
         Args:
             fresh: Number of new readings of each stream; cleared if no shape explains them.
         """
+        if self._budget < -_OWED:
+            return True
         window = self._window
         readings = self._buffer.streams(window.since(0))
         most = _LONG if self._budget > 0 else _BRIEF
