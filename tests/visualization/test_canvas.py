@@ -1,5 +1,7 @@
 """What all figures share: a film's pace, and colours that show."""
 
+import warnings
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -70,3 +72,26 @@ def test_a_name_that_is_too_long_keeps_its_ends():
     assert shown.startswith("left")
     assert shown.endswith("right")
     assert len(shown) <= 41
+
+
+@pytest.mark.parametrize("family", ["DejaVu Sans", "DejaVu Sans Mono"])
+@pytest.mark.parametrize("seed", range(3))
+def test_any_name_is_one_line_that_its_font_can_draw(seed, family):
+    rng = np.random.default_rng(seed)
+    codes = rng.choice([*range(1, 0x300), *range(0x3040, 0x9FFF), 0x1F600, 0x20000, 0x200B], 30)
+    names = ["線圈", "a\nb", "\t", *("".join(map(chr, few)) for few in codes.reshape(-1, 3))]
+    with canvas(8.0, 12.0, {"font.family": family}) as figure:
+        axes = figure.subplots()
+        for i, name in enumerate(names):
+            weight = "bold" if i % 2 else "normal"
+            axes.text(0.0, i / len(names), shown_name(name), fontweight=weight)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # a missing glyph is a warning and a box
+            figure.draw_without_rendering()
+        assert all("\n" not in text.get_text() for text in axes.texts)
+
+
+@pytest.mark.parametrize("name", ["coil Ä ü", "σ ± 2", "мост", "coil 😀"])
+def test_letters_that_the_font_has_stay(name):
+    with canvas(1.0, 1.0):
+        assert shown_name(name) == name

@@ -7,7 +7,9 @@ from PIL import Image
 from scipy.stats import chi2
 
 from glissando import GlissandoError, Grid, PositionReadings, estimate
+from glissando.visualization.canvas import canvas
 from glissando.visualization.film import film, frames_at, save_animation
+from glissando.visualization.film.stage import INCHES, Stage
 from scenes import LENGTH, arc, judged_scene
 
 SMALL = {"seconds": 0.5, "rate": 6.0, "width": 200}  # three frames
@@ -190,3 +192,14 @@ def test_no_sensor_and_no_truth_is_still_a_film(scene, tmp_path):
     later = replace(readings[1], time=readings[1].time + 9.0)  # none of it on the grid
     path = save_animation(posterior, [later], [], tmp_path / "film.gif", **SMALL)
     assert path.stat().st_size > 1000
+
+
+def test_every_axis_of_a_film_names_its_unit(scene):
+    times = np.array([0.0, 0.5])
+    with canvas(*INCHES) as figure:
+        stage = Stage(figure, frames_at(*scene, times), 200, 1.0)
+        three = (stage.space.xaxis, stage.space.yaxis, stage.space.zaxis)
+        flat = [a for panel in figure.subfigs for a in panel.axes if a is not stage.space]
+        axes = [*three, *(axis for a in flat for axis in (a.xaxis, a.yaxis))]
+        assert len(axes) == 7
+        assert all(a.get_label_text().endswith((" (mm)", " (s)")) for a in axes)

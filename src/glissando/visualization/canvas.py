@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -147,15 +148,41 @@ def legend(figure: Any, entries: dict[str, Any], *, ncols: int = 1, **look: Any)
 def shown_name(name: str) -> str:
     r"""A name from a file as a figure shows it: as it is, shortened in the middle if it is long.
 
-    matplotlib would typeset what is between dollars and hide labels that begin with an underscore.
+    Line breaks and characters that the font lacks appear as their codes, as on a terminal without
+    them. matplotlib would typeset what is between dollars and hide labels that begin with an
+    underscore.
 
     >>> print(shown_name("_$1$"), shown_name("a" * 50 + "b" * 50))
      _\$1\$ aaaaaaaaaaaaaaaaaaaa…bbbbbbbbbbbbbbbbbbbb
+    >>> print(shown_name("線 1"))
+    \u7dda 1
     """
+    from matplotlib import rcParams
+
+    if not (name.isascii() and name.isprintable()):
+        drawn = _characters(tuple(rcParams["font.family"]), tuple(rcParams["font.sans-serif"]))
+        name = "".join(c if c.isprintable() and ord(c) in drawn else _code(c) for c in name)
     if len(name) > _LONGEST_NAME:
         half = _LONGEST_NAME // 2
         name = f"{name[:half]}…{name[-half:]}"
     return f"{' ' * name.startswith('_')}{name}".replace("$", r"\$")
+
+
+def _code(character: str) -> str:
+    r"""The escape of a character, such as \n or \u7dda."""
+    return character.encode("unicode_escape").decode()
+
+
+@lru_cache
+def _characters(families: tuple[str, ...], sans_serif: tuple[str, ...]) -> frozenset[int]:
+    """Characters that fonts have, normal and bold; `sans_serif` is what that family stands for."""
+    from matplotlib.font_manager import FontProperties, findfont, get_font
+
+    weights = []
+    for weight in ("normal", "bold"):
+        asked = [FontProperties(family=[f], weight=weight) for f in families]
+        weights.append(frozenset().union(*(get_font(findfont(f)).get_charmap() for f in asked)))
+    return frozenset.intersection(*weights)
 
 
 def _tuples() -> dict[Any, Any]:

@@ -116,7 +116,7 @@ class Stage:
         look = {"vmin": 0.0, "vmax": self.top, "cmap": self.colours, "shading": "gouraud"}
         axes.pcolormesh(f.time + wide, f.arclength, std.T, **look)
         axes.plot(f.time + wide, place, color="white", lw=1.6)
-        axes.set(xlabel="time (s)", ylabel="arclength")
+        axes.set(xlabel="time (s)", ylabel="arclength (mm)")
         axes.margins(0.0)
         for axis, nbins in ((axes.xaxis, 6), (axes.yaxis, 3)):
             axis.get_major_locator().set_params(nbins=nbins, steps=[1, 2, 5, 10])
