@@ -78,22 +78,24 @@ def test_too_little_memory_is_a_sentence(monkeypatch, capsys):
     assert "--" not in said  # not every command has the same options
 
 
-def test_no_signal_disturbs_the_end_of_a_program_that_was_interrupted(monkeypatch, capsys):
+@pytest.mark.parametrize("interrupted", [True, False])
+def test_no_signal_disturbs_the_end_of_a_program(interrupted, monkeypatch, capsys):
     def interrupt():
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(5.0)
 
-    monkeypatch.setattr(command_line, "_own_warnings_shown", interrupt)
+    if interrupted:
+        monkeypatch.setattr(command_line, "_own_warnings_shown", interrupt)
     monkeypatch.setattr("sys.argv", ["glissando", "doctor"])
     before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
-        assert main() == 130
+        assert main() == (130 if interrupted else 0)
         for number in before:
             os.kill(os.getpid(), number)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    assert capsys.readouterr().err == "glissando: interrupted\n"
+    assert capsys.readouterr().err == ("glissando: interrupted\n" if interrupted else "")
 
 
 def test_a_signal_after_a_command_dealt_with_one_is_only_noted(capfd):

@@ -160,7 +160,7 @@ def _stopped_by_signals(*, ends_process: bool = False) -> Iterator[None]:
     finally:
         sys.unraisablehook = show_lost
         for number, handler in before.items():  # ignore signals while the program exits
-            signal.signal(number, signal.SIG_IGN if requests and ends_process else handler)
+            signal.signal(number, signal.SIG_IGN if ends_process else handler)
 
 
 @contextmanager
