@@ -79,15 +79,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _escape_unencodable()
     try:
         with _stopped_by_signals(ends_process=arguments is None), _own_warnings_shown():
-            others = import_plugins(words)
-            command = next((word for word in others if not word.startswith("-")), "")
-            options, unknown = build_parser(command).parse_known_args(others)
-            if unknown:  # refused with the usage of this command
-                options.refuse(f"unrecognized arguments: {' '.join(unknown)}")
-            options.words = others
-            status = int(options.run(options))
-            if sys.stdout is not None:
-                sys.stdout.flush()
+            try:
+                status = _run(words)
+            except SystemExit:  # of --help
+                _flush_stdout()
+                raise
+            except OSError as problem:
+                _flush_stdout("" if problem.filename else "\n")  # fails if it was stdout
+                raise
+            _flush_stdout()
             return status
     except NoShapeError as problem:
         say(f"glissando: {problem}")
@@ -96,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         say(f"glissando: {problem}")
         return 2
     except BrokenPipeError:  # the reader of the output has closed it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_stdout()
         return 141
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
@@ -113,6 +113,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         say("glissando: interrupted")
         return 130
+
+
+def _run(words: list[str]) -> int:
+    """Parse a command line, run its command and return the exit status."""
+    others = import_plugins(words)
+    command = next((word for word in others if not word.startswith("-")), "")
+    options, unknown = build_parser(command).parse_known_args(others)
+    if unknown:  # refused with the usage of this command
+        options.refuse(f"unrecognized arguments: {' '.join(unknown)}")
+    options.words = others
+    return int(options.run(options))
+
+
+def _flush_stdout(last: str = "") -> None:
+    """Write what stdout holds, and `last`; raise BrokenPipeError or GlissandoError if it cannot."""
+    if sys.stdout is None:
+        return
+    try:
+        sys.stdout.write(last)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as problem:
+        _discard_stdout()
+        raise GlissandoError(
+            f"Standard output cannot be written ({problem.strerror}), so what it was to show is "
+            f"lost; send it elsewhere."
+        ) from None
+
+
+def _discard_stdout() -> None:
+    """Send what stdout still holds nowhere, so that the exit does not fail."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _escape_unencodable() -> None:
