@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from itertools import islice
+from multiprocessing.resource_tracker import ensure_running
 from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
@@ -163,15 +164,37 @@ def cluster(address: str | None = None, workers: int | None = None) -> Iterator[
 
 @contextmanager
 def ignoring_interrupts() -> Iterator[None]:
-    """Let processes started inside the context ignore Ctrl-C; this process ends them on Ctrl-C."""
+    """Let processes started inside the context ignore Ctrl-C; this one obeys when it ends.
+
+    A signal that arrives meanwhile, Ctrl-C or to terminate, is raised again at the end of the
+    context, so that none is lost and none interrupts the start of processes midway.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    blocks = hasattr(signal, "pthread_sigmask")  # Windows cannot, and loses a Ctrl-C
+    names = ("SIGINT", "SIGTERM", "SIGHUP") if blocks else ()
+    numbers = [getattr(signal, name) for name in names]
+    waiting: list[int] = []
+    mask: set[int] = set()
+    handled = [n for n in numbers if signal.getsignal(n) != signal.SIG_IGN]
+    before = {n: signal.signal(n, lambda got, _: waiting.append(got)) for n in handled}
+    if blocks:
+        ensure_running()  # its start unblocks Ctrl-C
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])  # inherited
+    else:
+        before[signal.SIGINT] = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        try:
+            if waiting:
+                signal.raise_signal(waiting[0])
+        finally:
+            if blocks:
+                signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _require_workers(client: distributed.Client) -> None:
