@@ -79,7 +79,7 @@ class PlanWarning(UserWarning):
 
 
 def is_interrupt(problem: BaseException | None) -> bool:
-    """Whether Ctrl-C caused an error, directly or as the SystemError of a compiled kernel."""
+    """Whether Ctrl-C caused an error, directly or as that of compiled code, run or imported."""
     while problem is not None and not isinstance(problem, KeyboardInterrupt):
         problem = problem.__cause__ or problem.__context__
     return problem is not None
@@ -100,4 +100,6 @@ def needing(what: str, extra: str, error: type[GlissandoError] = GlissandoError)
     try:
         yield
     except ImportError as missing:
+        if is_interrupt(missing):
+            raise
         raise error(f"{what} ({missing}): run pip install 'glissando[{extra}]'.") from missing

@@ -3,12 +3,14 @@
 import os
 import signal
 import time
+from contextlib import nullcontext
 
 import pytest
 
 from glissando.cli import main as command_line
 from glissando.cli.interrupts import until_interrupted
 from glissando.cli.main import _stopped_by_signals, main
+from glissando.errors import needing
 
 
 @pytest.fixture(autouse=True)
@@ -76,6 +78,22 @@ def test_too_little_memory_is_a_sentence(monkeypatch, capsys):
     said = capsys.readouterr().err
     assert "more memory than there is" in said
     assert "--" not in said  # not every command has the same options
+
+
+@pytest.mark.parametrize("optional", [True, False])
+def test_an_interrupt_while_a_compiled_module_is_imported_is_an_interrupt(
+    optional, monkeypatch, capsys
+):
+    def imports(*_):
+        with needing("Figures need matplotlib", "plot") if optional else nullcontext():
+            try:
+                raise KeyboardInterrupt
+            except KeyboardInterrupt as cause:  # as pybind11 does
+                raise ImportError("initialization failed") from cause
+
+    monkeypatch.setattr(command_line, "_own_warnings_shown", imports)
+    assert main(["doctor"]) == 130
+    assert capsys.readouterr().err == "glissando: interrupted\n"
 
 
 @pytest.mark.parametrize("interrupted", [True, False])

@@ -108,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "in the robot file, or a larger machine."
         )
         return 2
-    except (KeyboardInterrupt, SystemError) as problem:
+    except (KeyboardInterrupt, SystemError, ImportError) as problem:  # of compiled code
         if not is_interrupt(problem):
             raise
         say("glissando: interrupted")
