@@ -30,7 +30,7 @@ KNOWN = {
 
 @law
 @given(
-    st.floats(0.05, 3.0),
+    st.floats(0.05, 10.0),
     st.integers(1, 8),
     st.floats(0.001, 0.04),
     st.floats(0.2, 6.0),
@@ -79,7 +79,8 @@ def test_names_may_have_any_letters(tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        ({"length": 466.0}, "length of 466 m is not likely; give 0.02 m to 5 m"),
+        ({"length": 466.0}, "length of 466 m is not likely; give 0.02 m to 10 m"),
+        ({"length": 20.0}, "length of 20 m"),  # the shortest robot, in millimetres
         ({"length": math.nan}, "length of nan"),
         ({"diameter": 12.0}, "diameter of 12 m is not likely"),
         ({"bend": 180.0}, r"bend of 180 rad \(1.03e\+04 degrees\) is not likely"),

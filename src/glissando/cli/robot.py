@@ -98,8 +98,8 @@ def _robot(options: argparse.Namespace) -> int:
     bare = [kind for kind in outline.sensors if ":" not in kind]
     if bare:
         say(
-            f"{', '.join(bare)} name no stream, so their mounts and drifts count as known: give "
-            f"KIND:STREAM for what may be mounted a little off."
+            f"{', '.join(bare)} {'name' if len(bare) > 1 else 'names'} no stream, so mounts and "
+            f"drifts count as known: give KIND:STREAM for what may be mounted a little off."
         )
     robot = f"--robot {quote(str(out))}"
     estimate = f"estimate RECORDING {robot} --out results"

@@ -18,7 +18,7 @@ _JUMPS = """\
 # and only the tip is read, give four times as much: else half of them are inside 95 % there."""
 
 _LIKELY = {  # smallest and largest plausible value, and their unit
-    "length": (0.02, 5.0, "m"),
+    "length": (0.02, 10.0, "m"),
     "diameter": (2e-4, 0.2, "m"),
     "bend": (math.radians(5.0), 4.0 * math.pi, "rad"),
     "stretch": (1e-4, 1.0, "of the length"),
