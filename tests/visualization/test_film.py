@@ -203,3 +203,11 @@ def test_every_axis_of_a_film_names_its_unit(scene):
         axes = [*three, *(axis for a in flat for axis in (a.xaxis, a.yaxis))]
         assert len(axes) == 7
         assert all(a.get_label_text().endswith((" (mm)", " (s)")) for a in axes)
+
+
+@pytest.mark.parametrize("times", [[0.25, 0.5], [0.5, 0.75, 1.0], [0.5]])
+def test_the_map_over_time_shows_the_film_s_times_and_no_others(scene, times):
+    with canvas(*INCHES) as figure:
+        stage = Stage(figure, frames_at(*scene, np.array(times)), 200, 1.0)
+        shown = times if len(times) > 1 else [times[0] - 0.5, times[0] + 0.5]
+        assert stage.cursor.axes.get_xlim() == pytest.approx((shown[0], shown[-1]))

@@ -120,7 +120,7 @@ class Stage:
         axes.margins(0.0)
         for axis, nbins in ((axes.xaxis, 6), (axes.yaxis, 3)):
             axis.get_major_locator().set_params(nbins=nbins, steps=[1, 2, 5, 10])
-        self.cursor = self._add(axes.axvline(color="black", lw=2.4))
+        self.cursor = self._add(axes.axvline(f.time[0], color="black", lw=2.4))
         self.pins = [self._line(axes, **look, ms=8) for look in self.looks]
 
     def _draw_legend(self, panel: Any) -> None:
