@@ -128,6 +128,7 @@ def test_what_cannot_be_drawn_is_refused_before_an_estimate(capsys, words, said)
 def test_the_command_draws_what_is_asked_for(scene, tmp_path, capsys):
     save_posterior(scene[0], tmp_path / "posterior.nc")
     call = ["figure", "confidence", str(tmp_path), "--out", str(tmp_path / "c.svg")]
+    assert main([*call, "--size", "80,80", "--font-size", "7"]) == 0  # square, too
     assert main([*call, "--size", "80,50", "--font-size", "7"]) == 0
     text = (tmp_path / "c.svg").read_text()
     assert 'width="226.771654pt"' in text  # 80 mm

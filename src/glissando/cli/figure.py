@@ -57,7 +57,7 @@ def add_to(commands: Commands) -> None:
     add("--recording", type=Path, metavar="FOLDER", help="sensors and truth of a posterior")
     add_choices(parser)
     add("--times", type=names, metavar="S,…", help="of the shapes (default: five)")
-    add("--size", type=names, metavar="MM,MM", help="width and height of the figure")
+    add("--size", metavar="MM,MM", help="width and height of the figure")
     add("--font-size", type=float, metavar="PT", help="of all text (default 11)")
     add("--out", type=Path, required=True, metavar="FILE", help="ends in .png, .pdf or .svg")
 
@@ -99,14 +99,14 @@ def _figure(options: argparse.Namespace) -> int:
 
 def _appearance(options: argparse.Namespace) -> dict[str, Any]:
     """Keyword arguments `size` (inches) and `style` of the functions that draw figures."""
-    size = [number("--size", text) / INCH for text in options.size or ()]
+    texts = (options.size or "").split(",")
+    size = [number("--size", text) / INCH for text in texts if text.strip()]
     least, most = SIDES
     if options.size is not None and (
         len(size) != 2 or not least <= INCH * min(size) <= INCH * max(size) <= most
     ):
         raise GlissandoError(
-            f"--size {','.join(options.size)}: give width and height in mm, from {least:g} to "
-            f"{most:g}."
+            f"--size {options.size}: give width and height in mm, from {least:g} to {most:g}."
         )
     appearance: dict[str, Any] = {"size": (size[0], size[1])} if size else {}
     points = options.font_size
