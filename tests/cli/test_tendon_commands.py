@@ -143,9 +143,12 @@ def test_what_predict_cannot_use_is_one_sentence(tmp_path, start, capsys):
         return status, capsys.readouterr().err
 
     head = "time," + ",".join(NAMES) + "\n"
+    both = head[:-1] + "".join(f",tendon_{j}" for j in range(6)) + "\n0"
     for text, sentence in [
         ("time,servo_0\n0,0\n", "has 2 columns and no servo_1; give time and a column for each"),
-        (head + "0,0,0,0,0,0,0\n0,0,0,0,0,0,0\n", "line 3: time 0 s does not follow"),
+        (head + "0,0,0,0,0,0,0\n0,0,0,0,0,0,0\n", "does not follow 0 s; keep one row of a time"),
+        (head + "1,0,0,0,0,0,0\n0,0,0,0,0,0,0\n", "line 3: time 0 s does not follow 1 s; sort"),
+        (both + ",0" * 12 + "\n", f"has columns tendon_0 and {NAMES[0]} for the tendons; keep one"),
         (head + "0,0,0,0,0,0\n", "line 2: give a number in each of the 7 columns"),
         (head, "holds no commands"),
         (head + "0,2,0,0,0,0,0\n", "give metres, not millimetres"),

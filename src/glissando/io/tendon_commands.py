@@ -25,21 +25,21 @@ def read_tendon_commands(path: Path, names: tuple[str, ...]) -> tuple[Array, Arr
         Times (M,), s, and displacements (M, T), m.
 
     Raises:
-        RecordingError: A column is missing, a cell is not a number, or times do not increase.
+        RecordingError: A column is missing or ambiguous, a cell is not a number, or times do not
+            increase.
     """
     lines = text_lines(path)
     head = [cell.strip() for cell in lines[0].split(",")] if lines else []
     numbered = tuple(f"tendon_{j}" for j in range(len(names)))
     if set(numbered) <= set(head):
+        named = [n for n in head if n.removesuffix("_mm") in set(names) - set(numbered)]
+        _require_one(path, "the tendons", [numbered[0], *named[:1]])
         names = numbered
     clock = next((name for name in ("time", "timestamp") if name in head), None)
     columns, scales = [], []
     for name in names:
         given = [n for n in head if n in (name, f"{name}_mm")]
-        if len(given) > 1:
-            raise RecordingError(
-                f"{path.name} line 1 has columns {' and '.join(given)} for one tendon; keep one."
-            )
+        _require_one(path, "one tendon", given)
         column = given[0] if given else None
         if clock is None or column is None:
             raise RecordingError(
@@ -63,12 +63,22 @@ def read_tendon_commands(path: Path, names: tuple[str, ...]) -> tuple[Array, Arr
                 f"{path.name} line {number}: give a number in each of the {len(head)} columns."
             )
         if rows and values[0] <= rows[-1][0]:
+            again = values[0] == rows[-1][0]
             raise RecordingError(
                 f"{path.name} line {number}: time {seconds(values[0], decimals=6)} s does not "
-                f"follow {seconds(rows[-1][0], decimals=6)} s; sort the rows."
+                f"follow {seconds(rows[-1][0], decimals=6)} s; "
+                f"{'keep one row of a time' if again else 'sort the rows'}."
             )
         rows.append(values)
     if not rows:
         raise RecordingError(f"{path.name} holds no commands; give a row for each time.")
     table = np.array(rows)
     return table[:, 0], table[:, 1:] * scales
+
+
+def _require_one(path: Path, what: str, columns: list[str]) -> None:
+    """Raise RecordingError if there are several columns for the same quantity."""
+    if len(columns) > 1:
+        raise RecordingError(
+            f"{path.name} line 1 has columns {' and '.join(columns)} for {what}; keep one."
+        )
