@@ -72,7 +72,14 @@ def estimate(
     require_batch(prior, grid, readings, sensor_parameters, initial, options)
     require_gate(gate)
     problem = BatchProblem(
-        prior, grid, readings, sensor_parameters, options or SolverOptions(), progress, gate
+        prior,
+        grid,
+        readings,
+        sensor_parameters,
+        options or SolverOptions(),
+        progress,
+        gate,
+        mean=True,
     )
     posterior = problem.placed((initial, initial_parameters))
     report = posterior.solve

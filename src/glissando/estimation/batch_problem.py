@@ -13,6 +13,7 @@ from glissando._kernels.threads import one_thread
 from glissando.errors import UnobservableError
 from glissando.estimation.channels import settled
 from glissando.estimation.delays import with_unseen_delays
+from glissando.estimation.laplace_shift import at_mean
 from glissando.estimation.misfit import breakdown, misfit_sentence, worst_readings
 from glissando.estimation.outliers import (
     Mask,
@@ -42,7 +43,10 @@ Judged = tuple[Solution, Posterior, list[Mask]]
 
 @dataclass(frozen=True)
 class BatchProblem:
-    """Batch estimation problem: prior, grid, readings and options."""
+    """Batch estimation problem: prior, grid, readings and options.
+
+    The posterior is about its mode, or about its mean if `mean` asks for it.
+    """
 
     prior: Prior
     grid: Grid
@@ -53,6 +57,7 @@ class BatchProblem:
     gate: float | None = None
     dates: bool = True
     keep_all: bool = False
+    mean: bool = False
     clock: Stopwatch = field(default_factory=Stopwatch)
 
     def placed(self, start: Start) -> Posterior:
@@ -86,9 +91,13 @@ class BatchProblem:
             seen = self.placed_by_evidence(end, used)
             seen = self.dated(seen) if self.dates else seen
             posterior = self.known_by(seen) if known is None or seen is not end else known
+        if self.mean:
+            with self.clock("covariance"):
+                posterior = at_mean(posterior, seen.located)  # (37)
         report = posterior.solve
         doubt = report.doubt or ambiguity
         report = replace(report, refused=self.left_out(used), doubt=doubt, ambiguity=ambiguity)
+        report = replace(report, seconds=self.clock.total())
         return replace(posterior, solve=report)
 
     @contextmanager
