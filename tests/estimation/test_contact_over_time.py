@@ -12,9 +12,10 @@ from glissando.estimation.contact import ContactScan, mixed, scan_contacts, scan
 from glissando.estimation.contact_evidence import error_priors
 from glissando.estimation.contact_force import force_at, nearest_nodes
 from glissando.model.priors.mechanical.intervals import still_columns, still_error
+from glissando.simulation import Loads, Wrench, solve_shape
 from mechanical_rod import GRID, mechanical, moving
 from oracles import separable as oracle
-from touched_rod import FORCE, LENGTH, NODES, PLACES, PRIOR, STD, coil, joined, shape
+from touched_rod import FORCE, GRAVITY, LENGTH, NODES, PLACES, PRIOR, ROD, STD, coil, joined, shape
 
 TIMES = np.linspace(0.0, 0.6, 7)
 EXACT = SolverOptions(tolerance=1e-4)
@@ -235,3 +236,26 @@ def test_a_force_counts_every_node_at_which_it_may_act():
     mean, cov = mixed(each[1:], forces @ at, at.T @ covs @ at)
     np.testing.assert_allclose(scan.force[4], mean, atol=0.05 * np.sqrt(np.diagonal(cov)).max())
     np.testing.assert_allclose(scan.cov[4], cov, atol=0.1 * cov.max())
+
+
+@pytest.mark.slow
+def test_a_robot_that_moves_freely_is_rarely_said_to_be_touched():
+    """Its tip moves by a tenth of its length, and readings hardly determine forces along it."""
+    rng, said = np.random.default_rng(7), []
+    times, places, density = 0.05 * np.arange(40), np.linspace(0.05, LENGTH, 10), 1e-4
+    tip = np.repeat([1e-4, 9e-8], 3)
+    prior = replace(PRIOR, psd_load=np.repeat([density, 1e-8], 3), var_tip=tip)
+    var = np.full((10, 6), np.repeat([density, 1e-8], 3) * LENGTH / 10)
+    var[-1] += tip
+    lasting = [[oracle.matern(a - b, 1.0)[0, 0] for a in times] for b in times]
+    root = np.linalg.cholesky(lasting)
+    for _ in range(4):
+        sway = np.einsum("ij,jnc->inc", root, rng.standard_normal((times.size, 10, 6)))
+        smoother = FixedLagSmoother(prior, NODES, window=4)
+        for time, now in zip(times, np.sqrt(var) * sway, strict=True):
+            held = [Wrench(s, w[:3], w[3:]) for s, w in zip(places, now, strict=True)]
+            held = Loads(gravity=GRAVITY, wrenches=held)
+            smoother.add(coil(rng, solve_shape(ROD, [], held), [time]).select(slice(-1, None)))
+            smoother.advance(time)
+            said.append(bool(smoother.contacts().detected))
+    assert np.mean(said) < 0.06

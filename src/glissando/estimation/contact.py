@@ -32,6 +32,7 @@ from glissando.model.quantiles import chi_square_quantile
 from glissando.solver.block_tridiagonal import factor
 
 _FEW = 0.01  # share of a node below which a force there is neglected
+_SHARES = np.array([1.0, 1.0, 1.0 / 3.0])  # of a force across a robot and along it, by friction
 _LIKELY = chi_square_quantile(0.95, 3)  # squared error of a force, in its covariance
 
 
@@ -134,7 +135,8 @@ def scan_contacts(
         posterior: The posterior, whose prior has no contact.
         time: Seconds: one time, or (K,) for a map over arclength and time.
         std_force: Prior standard deviation of a force, N: of each component (3,) in the body frame,
-            or of all; `bending_force` if None.
+            or of all; if None `bending_force` across the robot, and a third of it along, as by
+            friction.
         false_alarms: Share of times at which a contact may be reported without any.
 
     Raises:
@@ -256,8 +258,8 @@ def bending_force(prior: MechanicalPrior, arclength: Array) -> float:
 
 
 def force_variance(prior: MechanicalPrior, arclength: Array, std: ArrayLike | None) -> Array:
-    """Prior variance (3,) of a force, N², from std (3,) or (), N; `bending_force` if None."""
-    given = np.asarray(bending_force(prior, arclength) if std is None else std)
+    """Prior variance (3,) of a force, N², from std (3,) or (), N; by `bending_force` if None."""
+    given = np.asarray(bending_force(prior, arclength) * _SHARES if std is None else std)
     sound = given.shape in ((), (3,)) and given.dtype.kind in "fiu"
     if not sound or not np.all((given > 0.0) & np.isfinite(given)):
         raise GlissandoError(f"std_force is {std!r}; give newtons above 0, one number or three.")

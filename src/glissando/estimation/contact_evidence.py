@@ -3,6 +3,10 @@
 A force at s_c adds G f to the error r of the interval in which it lies. With the states
 marginalised it has information matrix B = GᵀQ⁻¹(Q − P_r)Q⁻¹G and vector b = GᵀQ⁻¹r̂, so that the
 log evidence grows by ½ bᵀ(B + Σ⁻¹)⁻¹b − ½ log det(1 + ΣB). Source: equation (29).
+
+Errors are curved functions of the states. Of a robot that moves by much, forces along it are hardly
+seen, and what the linearisation misses of r exceeds what readings say of such a force. It is drawn
+from the posterior and added to b where the distribution of the evidence without contact is drawn.
 """
 
 from __future__ import annotations
@@ -29,6 +33,8 @@ RAREST = 4.0 / _DRAWS
 
 _PER_INTERVAL = 6  # places in an interval
 _ROUNDING = 1e-12  # relative to a diagonal entry of the information
+_MISSED = 32  # draws of the posterior, for what the linearisation misses
+_RIDGE = 1e-9  # of correlations, whose rounding errors are less
 _UNSEEN = 1e-9  # share of an error's prior variance below which readings are uninformative
 
 
@@ -114,19 +120,23 @@ class ForceEvidence:
         vector: Information vectors b (C, 3).
         root: Root (m, C, 3) of the joint covariance of all b without contact: b = Σ w_m root_m
             with w of unit variance. Its blocks are the information matrices B.
+        missed: Root (m, C, 3) of the second moment of what the linearisation misses of all b.
     """
 
     arclength: Array
     vector: Array
     root: Array
+    missed: Array
 
     def take(self, rows: slice) -> ForceEvidence:
         """Information at some of the places."""
-        return ForceEvidence(self.arclength[rows], self.vector[rows], self.root[:, rows])
+        roots = self.root[:, rows], self.missed[:, rows]
+        return ForceEvidence(self.arclength[rows], self.vector[rows], *roots)
 
     def uninformative(self) -> ForceEvidence:
         """Information of a state without readings: zero at the same places."""
-        return ForceEvidence(self.arclength, 0.0 * self.vector, 0.0 * self.root)
+        parts = self.vector, self.root, self.missed
+        return ForceEvidence(self.arclength, *(0.0 * part for part in parts))
 
     @property
     def shares(self) -> Array:
@@ -146,11 +156,14 @@ class ForceEvidence:
         """
         few = self.take(slice(1, None, _PER_INTERVAL // 2))
         cov, half_log_det = few.given_force(variance)
-        scaled = np.einsum("mci,cij->mcj", few.root, np.linalg.cholesky(cov))
-        noise = np.random.default_rng(0).standard_normal((_DRAWS, len(scaled)))
-        drawn = noise @ scaled.reshape(len(scaled), 3 * few.arclength.size)
+        root = np.concatenate([few.root, few.missed])
+        scaled = np.einsum("mci,cij->mcj", root, np.linalg.cholesky(cov))
+        scaled = np.linalg.qr(scaled.reshape(len(scaled), 3 * few.arclength.size), mode="r")
+        drawn = np.random.default_rng(0).standard_normal((_DRAWS, len(scaled))) @ scaled
         ratio = 0.5 * np.square(drawn).reshape(_DRAWS, -1, 3).sum(axis=-1) - half_log_det
-        return float(np.quantile(np.log(np.exp(ratio) @ few.shares), 1.0 - false_alarms))
+        most = ratio.max(axis=1)
+        total = np.log(np.exp(ratio - most[:, None]) @ few.shares) + most
+        return float(np.quantile(total, 1.0 - false_alarms))
 
 
 def shares_of_length(places: Array) -> Array:
@@ -182,22 +195,65 @@ def force_evidence(
     """
     places, n, jacobian = _force_jacobians(prior, arclength, state)
     count = arclength.size - 1
-    ends = state.take(np.s_[:-1]), state.take(np.s_[1:])
-    error, slopes = still_error(*ends, prior.rod.intervals(arclength))
+    error, slopes = _errors(prior, arclength, state.reshape(1, -1))
     whitener = sqrt_information(errors.of_errors)
     slope = np.zeros((count, 12, count + 1, slopes.shape[3]))
     rows = np.arange(count)
     for end in range(2):
-        slope[rows, :, rows + end] = whitener @ slopes[:, :, end]
-    flat = slope.reshape(12 * count, -1)
+        slope[rows, :, rows + end] = slopes[:, :, end]
     chosen = (np.arange(count + 1)[:, None] * state.dof + still_columns(slopes.shape[3])).ravel()
+    cov = cov[np.ix_(chosen, chosen)]
+    missed = _missed(prior, arclength, state, cov, step, chosen, error, slope)
+    flat = (whitener @ slope.reshape(count, 12, -1)).reshape(12 * count, -1)
     white = (whitener @ error[:, :, None]).ravel() + flat @ step[chosen]
-    value, vector = np.linalg.eigh(np.eye(12 * count) - flat @ cov[np.ix_(chosen, chosen)] @ flat.T)
+    value, vector = np.linalg.eigh(np.eye(12 * count) - flat @ cov @ flat.T)
     seen = value > max(_UNSEEN, -2.0 * float(value[0]))
     directions = vector[:, seen].reshape(count, 12, -1)[n]
     root = np.einsum("cam,cai->mci", directions, whitener[n] @ jacobian)
     by_force = np.einsum("m,mci->ci", white @ vector[:, seen], root)
-    return ForceEvidence(places, by_force, np.sqrt(value[seen])[:, None, None] * root)
+    along = (whitener @ missed[..., None]).reshape(len(missed), -1) @ vector[:, seen]
+    known = np.sqrt(value[seen])[:, None, None] * root
+    return ForceEvidence(places, by_force, known, np.einsum("km,mci->kci", along, root))
+
+
+def _errors(prior: MechanicalPrior, arclength: Array, state: State) -> tuple[Array, Array]:
+    """Errors (S · (N−1), 12) of the intervals of shapes (S, N), and their Jacobians."""
+    ends = state.take(np.s_[:, :-1]).flatten(), state.take(np.s_[:, 1:]).flatten()
+    each = np.arange(len(ends[0].pose)) % (arclength.size - 1)
+    return still_error(*ends, prior.rod.intervals(arclength).take(each))
+
+
+def _missed(
+    prior: MechanicalPrior,
+    arclength: Array,
+    state: State,
+    cov: Array,
+    step: Array,
+    chosen: Index,
+    error: Array,
+    slope: Array,
+) -> Array:
+    """Root (m, N−1, 12) of the second moment of what the linearisation misses of the errors.
+
+    Args:
+        prior: The prior.
+        arclength: Nodes (N,), m.
+        state: Nodes (N,) of the linearisation.
+        cov: Posterior covariance of the unknowns `chosen`.
+        step: Step (D,) to the mean.
+        chosen: Unknowns on which errors depend.
+        error: Errors (N−1, 12) at `state`.
+        slope: Jacobian (N−1, 12, …) of the errors by the unknowns `chosen`.
+    """
+    std = np.sqrt(np.diag(cov))
+    root = np.linalg.cholesky(cov / np.outer(std, std) + _RIDGE * np.eye(std.size))
+    drawn = np.random.default_rng(0).standard_normal((_MISSED, std.size))
+    steps = np.zeros((_MISSED, *state.strain.shape[:1], state.dof))
+    flat = step[chosen] + std * (drawn @ root.T)
+    steps.reshape(_MISSED, -1)[:, chosen] = flat
+    moved, _ = _errors(prior, arclength, state.retract(steps))
+    linear = error + np.einsum("naj,kj->kna", slope.reshape(*error.shape, -1), flat)
+    return (moved.reshape(linear.shape) - linear) / np.sqrt(_MISSED)
 
 
 def _force_jacobians(
