@@ -34,7 +34,7 @@ RAREST = 4.0 / _DRAWS
 _PER_INTERVAL = 6  # places in an interval
 _ROUNDING = 1e-12  # relative to a diagonal entry of the information
 _MISSED = 32  # draws of the posterior, for what the linearisation misses
-_RIDGE = 1e-9  # of correlations, whose rounding errors are less
+_TINY = 1e-300  # least variance of an unknown
 _UNSEEN = 1e-9  # share of an error's prior variance below which readings are uninformative
 
 
@@ -200,18 +200,21 @@ def force_evidence(
     slope = np.zeros((count, 12, count + 1, slopes.shape[3]))
     rows = np.arange(count)
     for end in range(2):
-        slope[rows, :, rows + end] = slopes[:, :, end]
+        slope[rows, :, rows + end] = whitener @ slopes[:, :, end]
+    flat = slope.reshape(12 * count, -1)
     chosen = (np.arange(count + 1)[:, None] * state.dof + still_columns(slopes.shape[3])).ravel()
     cov = cov[np.ix_(chosen, chosen)]
-    missed = _missed(prior, arclength, state, cov, step, chosen, error, slope)
-    flat = (whitener @ slope.reshape(count, 12, -1)).reshape(12 * count, -1)
+    steps = np.zeros((_MISSED, (count + 1) * state.dof))
+    steps[:, chosen] = step[chosen] + _draws(cov)
+    missed = _missed(prior, arclength, state, steps.reshape(_MISSED, count + 1, -1))
     white = (whitener @ error[:, :, None]).ravel() + flat @ step[chosen]
     value, vector = np.linalg.eigh(np.eye(12 * count) - flat @ cov @ flat.T)
     seen = value > max(_UNSEEN, -2.0 * float(value[0]))
     directions = vector[:, seen].reshape(count, 12, -1)[n]
     root = np.einsum("cam,cai->mci", directions, whitener[n] @ jacobian)
     by_force = np.einsum("m,mci->ci", white @ vector[:, seen], root)
-    along = (whitener @ missed[..., None]).reshape(len(missed), -1) @ vector[:, seen]
+    along = (whitener @ missed[..., None]).reshape(_MISSED, -1) @ vector[:, seen]
+    along /= np.sqrt(_MISSED)
     known = np.sqrt(value[seen])[:, None, None] * root
     return ForceEvidence(places, by_force, known, np.einsum("km,mci->kci", along, root))
 
@@ -223,37 +226,22 @@ def _errors(prior: MechanicalPrior, arclength: Array, state: State) -> tuple[Arr
     return still_error(*ends, prior.rod.intervals(arclength).take(each))
 
 
-def _missed(
-    prior: MechanicalPrior,
-    arclength: Array,
-    state: State,
-    cov: Array,
-    step: Array,
-    chosen: Index,
-    error: Array,
-    slope: Array,
-) -> Array:
-    """Root (m, N−1, 12) of the second moment of what the linearisation misses of the errors.
-
-    Args:
-        prior: The prior.
-        arclength: Nodes (N,), m.
-        state: Nodes (N,) of the linearisation.
-        cov: Posterior covariance of the unknowns `chosen`.
-        step: Step (D,) to the mean.
-        chosen: Unknowns on which errors depend.
-        error: Errors (N−1, 12) at `state`.
-        slope: Jacobian (N−1, 12, …) of the errors by the unknowns `chosen`.
-    """
-    std = np.sqrt(np.diag(cov))
-    root = np.linalg.cholesky(cov / np.outer(std, std) + _RIDGE * np.eye(std.size))
+def _draws(cov: Array) -> Array:
+    """Draws (_MISSED, D) of mean zero and covariance (D, D), the same at every call."""
+    std = np.sqrt(np.maximum(np.diag(cov), _TINY))
+    value, vector = np.linalg.eigh(cov / np.outer(std, std))
     drawn = np.random.default_rng(0).standard_normal((_MISSED, std.size))
-    steps = np.zeros((_MISSED, *state.strain.shape[:1], state.dof))
-    flat = step[chosen] + std * (drawn @ root.T)
-    steps.reshape(_MISSED, -1)[:, chosen] = flat
+    return np.asarray(std * ((drawn * np.sqrt(np.maximum(value, 0.0))) @ vector.T))
+
+
+def _missed(prior: MechanicalPrior, arclength: Array, state: State, steps: Array) -> Array:
+    """What the linearisation at nodes (N,) misses of errors (S, N−1, 12) by steps (S, N, dof)."""
+    error, slopes = _errors(prior, arclength, state.reshape(1, -1))
+    of_ends = steps[:, :, still_columns(slopes.shape[3])]
+    linear = error + np.einsum("naj,snj->sna", slopes[:, :, 0], of_ends[:, :-1])
+    linear += np.einsum("naj,snj->sna", slopes[:, :, 1], of_ends[:, 1:])
     moved, _ = _errors(prior, arclength, state.retract(steps))
-    linear = error + np.einsum("naj,kj->kna", slope.reshape(*error.shape, -1), flat)
-    return (moved.reshape(linear.shape) - linear) / np.sqrt(_MISSED)
+    return np.asarray(moved.reshape(linear.shape) - linear)
 
 
 def _force_jacobians(
