@@ -42,6 +42,9 @@ def estimate(
     with a mechanical prior readings that a contact explains are kept. Readings of sensors in
     channels beside the backbone are located by the shape, iterated until both agree (M8).
 
+    The posterior is about its mode, the likeliest motion; with a mechanical prior without inertia
+    it is about its mean, as loads on a rod that moves differ between both (37).
+
     Args:
         model: The robot, or the prior of its motion.
         grid: Nodes over arclength (m) and time (s).
