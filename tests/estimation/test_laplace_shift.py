@@ -126,3 +126,10 @@ def test_without_knowledge_from_readings_nothing_moves():
     coil = reading(rng, time, tip_loads(rng, time), noise=1e3 * NOISE)
     mode = found(coil, time, mean=False)
     assert at_mean(mode, locate(mode.grid, [coil])) is mode
+
+
+def test_without_readings_the_estimate_is_that_of_the_prior():
+    time = np.arange(0.0, 0.5, 0.1)
+    unread = estimate(prior(), Grid(NODES, time), [])
+    assert np.all(np.isfinite(unread.load(LENGTH, time).std))
+    np.testing.assert_allclose(unread.load(LENGTH, time).wrench, 0.0, atol=1e-9)

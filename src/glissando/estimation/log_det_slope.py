@@ -16,6 +16,7 @@ from glissando.solver.located_readings import time_blocks
 
 _ALONG = STRAIN.start + 2  # strain along the rod, by whose force it bends more or less readily
 _NUDGE = 0.1  # standard deviations of the prior: step of the finite differences
+_LEAST = 1e-12  # strain: least step, where readings add nothing
 
 
 def log_det_slope(prior: MechanicalPrior, grid: Grid, state: State, added: Marginals) -> Array:
@@ -38,7 +39,7 @@ def log_det_slope(prior: MechanicalPrior, grid: Grid, state: State, added: Margi
         for batch in _factors(prior, grid, state)
     ]
     scale = _NUDGE * np.sqrt(np.max(np.abs(np.einsum("kii->ki", added.cov)), axis=0))
-    scale = scale.reshape(n_count, dof)[:, _ALONG]
+    scale = np.maximum(scale.reshape(n_count, dof)[:, _ALONG], _LEAST)
     sums = np.zeros(k_count * n_count)
     for parity in (0, 1):
         for sign in (1.0, -1.0):
