@@ -3,10 +3,6 @@
 A force at s_c adds G f to the error r of the interval in which it lies. With the states
 marginalised it has information matrix B = GᵀQ⁻¹(Q − P_r)Q⁻¹G and vector b = GᵀQ⁻¹r̂, so that the
 log evidence grows by ½ bᵀ(B + Σ⁻¹)⁻¹b − ½ log det(1 + ΣB). Source: equation (29).
-
-Errors are curved functions of the states. Of a robot that moves by much, forces along it are hardly
-seen, and what the linearisation misses of r exceeds what readings say of such a force. It is drawn
-from the posterior and added to b where the distribution of the evidence without contact is drawn.
 """
 
 from __future__ import annotations
@@ -33,8 +29,6 @@ RAREST = 4.0 / _DRAWS
 
 _PER_INTERVAL = 6  # places in an interval
 _ROUNDING = 1e-12  # relative to a diagonal entry of the information
-_MISSED = 32  # draws of the posterior, for what the linearisation misses
-_TINY = 1e-300  # least variance of an unknown
 _UNSEEN = 1e-9  # share of an error's prior variance below which readings are uninformative
 
 
@@ -120,23 +114,19 @@ class ForceEvidence:
         vector: Information vectors b (C, 3).
         root: Root (m, C, 3) of the joint covariance of all b without contact: b = Σ w_m root_m
             with w of unit variance. Its blocks are the information matrices B.
-        missed: Root (m, C, 3) of the second moment of what the linearisation misses of all b.
     """
 
     arclength: Array
     vector: Array
     root: Array
-    missed: Array
 
     def take(self, rows: slice) -> ForceEvidence:
         """Information at some of the places."""
-        roots = self.root[:, rows], self.missed[:, rows]
-        return ForceEvidence(self.arclength[rows], self.vector[rows], *roots)
+        return ForceEvidence(self.arclength[rows], self.vector[rows], self.root[:, rows])
 
     def uninformative(self) -> ForceEvidence:
         """Information of a state without readings: zero at the same places."""
-        parts = self.vector, self.root, self.missed
-        return ForceEvidence(self.arclength, *(0.0 * part for part in parts))
+        return ForceEvidence(self.arclength, 0.0 * self.vector, 0.0 * self.root)
 
     @property
     def shares(self) -> Array:
@@ -156,14 +146,11 @@ class ForceEvidence:
         """
         few = self.take(slice(1, None, _PER_INTERVAL // 2))
         cov, half_log_det = few.given_force(variance)
-        root = np.concatenate([few.root, few.missed])
-        scaled = np.einsum("mci,cij->mcj", root, np.linalg.cholesky(cov))
-        scaled = np.linalg.qr(scaled.reshape(len(scaled), 3 * few.arclength.size), mode="r")
-        drawn = np.random.default_rng(0).standard_normal((_DRAWS, len(scaled))) @ scaled
+        scaled = np.einsum("mci,cij->mcj", few.root, np.linalg.cholesky(cov))
+        noise = np.random.default_rng(0).standard_normal((_DRAWS, len(scaled)))
+        drawn = noise @ scaled.reshape(len(scaled), 3 * few.arclength.size)
         ratio = 0.5 * np.square(drawn).reshape(_DRAWS, -1, 3).sum(axis=-1) - half_log_det
-        most = ratio.max(axis=1)
-        total = np.log(np.exp(ratio - most[:, None]) @ few.shares) + most
-        return float(np.quantile(total, 1.0 - false_alarms))
+        return float(np.quantile(np.log(np.exp(ratio) @ few.shares), 1.0 - false_alarms))
 
 
 def shares_of_length(places: Array) -> Array:
@@ -195,7 +182,8 @@ def force_evidence(
     """
     places, n, jacobian = _force_jacobians(prior, arclength, state)
     count = arclength.size - 1
-    error, slopes = _errors(prior, arclength, state.reshape(1, -1))
+    ends = state.take(np.s_[:-1]), state.take(np.s_[1:])
+    error, slopes = still_error(*ends, prior.rod.intervals(arclength))
     whitener = sqrt_information(errors.of_errors)
     slope = np.zeros((count, 12, count + 1, slopes.shape[3]))
     rows = np.arange(count)
@@ -203,45 +191,13 @@ def force_evidence(
         slope[rows, :, rows + end] = whitener @ slopes[:, :, end]
     flat = slope.reshape(12 * count, -1)
     chosen = (np.arange(count + 1)[:, None] * state.dof + still_columns(slopes.shape[3])).ravel()
-    cov = cov[np.ix_(chosen, chosen)]
-    steps = np.zeros((_MISSED, (count + 1) * state.dof))
-    steps[:, chosen] = step[chosen] + _draws(cov)
-    missed = _missed(prior, arclength, state, steps.reshape(_MISSED, count + 1, -1))
     white = (whitener @ error[:, :, None]).ravel() + flat @ step[chosen]
-    value, vector = np.linalg.eigh(np.eye(12 * count) - flat @ cov @ flat.T)
+    value, vector = np.linalg.eigh(np.eye(12 * count) - flat @ cov[np.ix_(chosen, chosen)] @ flat.T)
     seen = value > max(_UNSEEN, -2.0 * float(value[0]))
     directions = vector[:, seen].reshape(count, 12, -1)[n]
     root = np.einsum("cam,cai->mci", directions, whitener[n] @ jacobian)
     by_force = np.einsum("m,mci->ci", white @ vector[:, seen], root)
-    along = (whitener @ missed[..., None]).reshape(_MISSED, -1) @ vector[:, seen]
-    along /= np.sqrt(_MISSED)
-    known = np.sqrt(value[seen])[:, None, None] * root
-    return ForceEvidence(places, by_force, known, np.einsum("km,mci->kci", along, root))
-
-
-def _errors(prior: MechanicalPrior, arclength: Array, state: State) -> tuple[Array, Array]:
-    """Errors (S · (N−1), 12) of the intervals of shapes (S, N), and their Jacobians."""
-    ends = state.take(np.s_[:, :-1]).flatten(), state.take(np.s_[:, 1:]).flatten()
-    each = np.arange(len(ends[0].pose)) % (arclength.size - 1)
-    return still_error(*ends, prior.rod.intervals(arclength).take(each))
-
-
-def _draws(cov: Array) -> Array:
-    """Draws (_MISSED, D) of mean zero and covariance (D, D), the same at every call."""
-    std = np.sqrt(np.maximum(np.diag(cov), _TINY))
-    value, vector = np.linalg.eigh(cov / np.outer(std, std))
-    drawn = np.random.default_rng(0).standard_normal((_MISSED, std.size))
-    return np.asarray(std * ((drawn * np.sqrt(np.maximum(value, 0.0))) @ vector.T))
-
-
-def _missed(prior: MechanicalPrior, arclength: Array, state: State, steps: Array) -> Array:
-    """What the linearisation at nodes (N,) misses of errors (S, N−1, 12) by steps (S, N, dof)."""
-    error, slopes = _errors(prior, arclength, state.reshape(1, -1))
-    of_ends = steps[:, :, still_columns(slopes.shape[3])]
-    linear = error + np.einsum("naj,snj->sna", slopes[:, :, 0], of_ends[:, :-1])
-    linear += np.einsum("naj,snj->sna", slopes[:, :, 1], of_ends[:, 1:])
-    moved, _ = _errors(prior, arclength, state.retract(steps))
-    return np.asarray(moved.reshape(linear.shape) - linear)
+    return ForceEvidence(places, by_force, np.sqrt(value[seen])[:, None, None] * root)
 
 
 def _force_jacobians(
