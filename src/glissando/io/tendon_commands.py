@@ -30,34 +30,14 @@ def read_tendon_commands(path: Path, names: tuple[str, ...]) -> tuple[Array, Arr
     """
     lines = text_lines(path)
     head = [cell.strip() for cell in lines[0].split(",")] if lines else []
-    numbered = tuple(f"tendon_{j}" for j in range(len(names)))
-    if set(numbered) <= set(head):
-        named = [n for n in head if n.removesuffix("_mm") in set(names) - set(numbered)]
-        _require_one(path, "the tendons", [numbered[0], *named[:1]])
-        names = numbered
-    clock = next((name for name in ("time", "timestamp") if name in head), None)
-    columns, scales = [], []
-    for name in names:
-        given = [n for n in head if n in (name, f"{name}_mm")]
-        _require_one(path, "one tendon", given)
-        column = given[0] if given else None
-        if clock is None or column is None:
-            raise RecordingError(
-                f"{path.name} line 1 has {len(head)} columns and no "
-                f"{'time' if clock is None else name}; give time and a column for each of the "
-                f"{len(names)} tendons: {', '.join(names)}."
-            )
-        columns.append(head.index(column))
-        scales.append(1.0 if column == name else 1e-3)
-    assert clock is not None
+    columns, scales = _columns(path, head, names)
     rows: list[Array] = []
     for number, line in enumerate(lines[1:], start=2):
         if not line.strip():
             continue
-        cells = line.split(",")
-        values = None
+        values, cells = None, line.split(",")
         if len(cells) == len(head):
-            values = as_numbers(path, number, [cells[c] for c in (head.index(clock), *columns)])
+            values = as_numbers(path, number, [cells[c] for c in columns])
         if values is None or not np.all(np.isfinite(values)):
             raise RecordingError(
                 f"{path.name} line {number}: give a number in each of the {len(head)} columns."
@@ -74,6 +54,30 @@ def read_tendon_commands(path: Path, names: tuple[str, ...]) -> tuple[Array, Arr
         raise RecordingError(f"{path.name} holds no commands; give a row for each time.")
     table = np.array(rows)
     return table[:, 0], table[:, 1:] * scales
+
+
+def _columns(path: Path, head: list[str], names: tuple[str, ...]) -> tuple[list[int], list[float]]:
+    """Columns of the time and of each tendon, and metres for a unit of each tendon's."""
+    numbered = tuple(f"tendon_{j}" for j in range(len(names)))
+    if set(numbered) <= set(head):
+        named = [n for n in head if n.removesuffix("_mm") in set(names) - set(numbered)]
+        _require_one(path, "the tendons", [numbered[0], *named[:1]])
+        names = numbered
+    clocks: tuple[str, ...] = ("time", "timestamp")
+    given = [[name for name in clocks if name in head][:1]]
+    given += [[n for n in head if n in (name, f"{name}_mm")] for name in names]
+    for name, found in zip(["time", *names], given, strict=True):
+        if not found:
+            raise RecordingError(
+                f"{path.name} line 1 has {len(head)} columns and no {name}; give time and a column "
+                f"for each of the {len(names)} tendons: {', '.join(names)}."
+            )
+        _require_one(path, "one tendon", found)
+    chosen = [found[0] for found in given]
+    scales = [
+        1.0 if column == name else 1e-3 for column, name in zip(chosen[1:], names, strict=True)
+    ]
+    return [head.index(column) for column in chosen], scales
 
 
 def _require_one(path: Path, what: str, columns: list[str]) -> None:
