@@ -12,6 +12,7 @@ import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from errno import ENOSPC
 from importlib import import_module
 from types import FrameType
 from typing import Any
@@ -85,7 +86,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 _flush_stdout()
                 raise
             except OSError as problem:
-                _flush_stdout("" if problem.filename else "\n")  # fails if it was stdout
+                full = problem.errno == ENOSPC and not problem.filename
+                _flush_stdout("\n" if full else "")  # fails if it was stdout
                 raise
             _flush_stdout()
             return status
