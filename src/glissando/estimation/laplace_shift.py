@@ -97,7 +97,7 @@ def _volume_slope(
     The factor of the normal equations is overwritten.
     """
     grid, state = here.located.grid, here.state
-    alone = linearize(prior, locate(grid, []), state, state)
+    alone = linearize(prior, locate(grid, []), state, state)  # where the other is, as both cancel
     spread = cholesky.marginals(consume=True)
     std = np.sqrt(np.einsum("kii->ki", spread.cov))
     size = state.numbers
